@@ -35,7 +35,7 @@ from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.objects import Walls, rate_on_wall, slid
 from .mechanics.shape import Profile
-from .receptors import ReceptorNoise, Seed, Weber
+from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
 #: Share of objects that are walls; where in question with more than this probability, and beyond
@@ -288,7 +288,7 @@ class SweepFilter:
     ) -> None:
         priors = {} if prior is None else {"radial_distance": prior}
         cue = _of_moment(whisker, cue)
-        self.observer = Observer(whisker, cue, Weber(0.1) if noise is None else noise, priors)
+        self.observer = Observer(whisker, cue, noise, priors)
         hint = "give whisker lengths per rad, 0 for a peg"
         self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
         self.slip_change = float(non_negative("slip_change", slip_change, hint))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, numbers, one_of, positive_number, shown
+from .._checks import finite, numbers, one_of, positive, positive_number, shown
 from .._values import Array, Codes, Flags, renamed_attribute
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
@@ -505,7 +505,7 @@ def default_noise(
     Raises
     ------
     ValueError
-        For Weber fractions that are neither one nor one for each signal.
+        For Weber fractions that are not positive, or neither one nor one for each signal.
 
     Examples
     --------
@@ -523,7 +523,8 @@ def default_noise(
                 f"weber_fraction must be one number, or one for each of {size} signals "
                 f"({', '.join(cue.signal_names)}), got {np.size(weber_fraction)}; write 0.1, say."
             )
-        noise = noise.with_weber_fraction(weber_fraction)
+        k = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        noise = noise.with_weber_fraction(k)
     return _with_floors(noise, _floors(whisker, cue))
 
 
