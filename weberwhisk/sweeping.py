@@ -288,7 +288,7 @@ class SweepFilter:
     ) -> None:
         priors = {} if prior is None else {"radial_distance": prior}
         cue = _of_moment(whisker, cue)
-        self.observer = Observer(whisker, cue, noise, priors)
+        self.observer = Observer(whisker, cue, noise, priors)  # type: ignore[arg-type]
         hint = "give whisker lengths per rad, 0 for a peg"
         self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
         self.slip_change = float(non_negative("slip_change", slip_change, hint))

@@ -251,7 +251,8 @@ def locate(
         f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
         f"{_priors(observer)}"
     )
-    if note := Observer(whisker, cue, _receptors(noise, whisker, cue), prior or {}).note:
+    as_given: Any = whisker
+    if note := Observer(as_given, cue, _receptors(noise, as_given, cue), prior or {}).note:
         notes.append(f"{note}.")  # of the whisker as given, which rows may see mirrored
     words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
@@ -260,7 +261,7 @@ def locate(
     return out
 
 
-def _receptors(noise: Any, whisker: Whisker | Profile, cue: Cue) -> Any:
+def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
     """The noise of an observer: as it is, or of a Weber fraction."""
     if noise is None or isinstance(noise, ReceptorNoise):
         return noise

@@ -486,7 +486,7 @@ class Observer:
 
 
 def default_noise(
-    whisker: Whisker | Profile, cue: Cue, weber_fraction: ArrayLike | None = None
+    whisker: Whisker, cue: Cue, weber_fraction: ArrayLike | None = None
 ) -> ReceptorNoise:
     """The noise of an observer that is given none: the cue's own, with a floor where it needs one.
 
@@ -529,7 +529,7 @@ def default_noise(
 
 
 @lru_cache(maxsize=256)
-def _floors(whisker: Whisker | Profile, cue: Cue) -> Array:
+def _floors(whisker: Whisker, cue: Cue) -> Array:
     """Floor of each signal that changes sign within the whisker's reach, (S,), 0 of the others."""
     floors = np.zeros(len(cue.signal_names))
     plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
