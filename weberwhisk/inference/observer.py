@@ -177,7 +177,7 @@ class Observer:
         if floored is not self.noise:
             added = floored.floors(size) > self.noise.floors(size)
             names = " and ".join(np.array(self.cue.signal_names)[added])
-            line = re.sub(r"\b(?=[A-Z]\w*\()", "receptors.", repr(floored))
+            line = re.sub(r"\b(?=[A-Z]\w*\()", "receptors.", repr(floored)).replace("inf", "None")
             raise ValueError(
                 f"The sign of {names} changes within this whisker's reach, where this noise would "
                 f"be zero, got {self.noise!r}; write {line}."
