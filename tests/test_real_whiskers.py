@@ -649,7 +649,7 @@ def test_a_named_arc_says_what_its_measured_shape_costs(side):
     law = ww.Spiral(*rest_shape("C2")).scaled(np.ones(()), side)
     shape = ww.Profile.of(arc).curved(law)
     real = Observer(shape, ForceMap(), default_noise(shape, ForceMap(), 0.02))
-    contact = [0.8 * arc.length, 0.1]
+    contact = [0.6 * arc.length, 0.1]
     found = posterior(observer, real.signals(contact)[0])
     assert abs(found.mean - contact[0]) > found.sd
     assert "C2 is taken as an arc; its measured shape at rest moves r" in observer.note

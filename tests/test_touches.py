@@ -307,7 +307,7 @@ def test_a_touch_of_unknown_stiffness_is_its_posterior(floor):
 
 def test_a_touch_of_uncertain_curvature_is_its_posterior():
     curved = replace(W, curvature=8.0)
-    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0), Weber(0.1))
+    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0))
     reading = observer.read([28e-3, 0.3, 1.0], seed=1)
     one, today = touches(observer, reading), posterior(observer, reading)
     assert one.status == Status.CONVERGED

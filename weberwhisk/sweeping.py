@@ -125,6 +125,7 @@ def follow(
     Examples
     --------
     >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> from weberwhisk.receptors import Weber
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians([2.0, 4.0, 8.0, 16.0])
     >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
@@ -267,6 +268,7 @@ class SweepFilter:
     Examples
     --------
     >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> from weberwhisk.receptors import Weber
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians(np.arange(1.0, 21.0))
     >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, numbers, one_of, positive, positive_number, shown
-from .._values import Array, Codes, Flags, renamed_attribute
+from .._values import Array, Codes, renamed_attribute
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
@@ -173,7 +173,7 @@ class Observer:
                 "A straight whisker has no torsion, which this noise would tell exactly, got "
                 f"{self.noise!r}; leave torsion out, or give its noise a floor."
             )
-        floored = _with_floors(self.noise, _floors(self.whisker, self.cue))
+        floored = _with_floors(self.noise, self.whisker, self.cue)
         if floored is not self.noise:
             added = floored.floors(size) > self.noise.floors(size)
             names = " and ".join(np.array(self.cue.signal_names)[added])
@@ -514,7 +514,7 @@ def default_noise(
     ...     w = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
     ...     print(default_noise(w, cues.ForceMap(), 0.05))
     Weber(0.05)
-    GeneralisedWeber(0.05, floor=[0.0, 8.3e-07])
+    GeneralisedWeber(0.05, floor=[0.0, 7.6e-07])
     """
     noise, size = cue.default_noise(), len(cue.signal_names)
     if weber_fraction is not None:
@@ -525,51 +525,56 @@ def default_noise(
             )
         k = positive("weber_fraction", weber_fraction, "write 0.1, say")
         noise = noise.with_weber_fraction(k)
-    return _with_floors(noise, _floors(whisker, cue))
+    return _with_floors(noise, whisker, cue)
 
 
 @lru_cache(maxsize=256)
 def _floors(whisker: Whisker, cue: Cue) -> Array:
     """Floor of each signal that changes sign within the whisker's reach, (S,), 0 of the others."""
     floors = np.zeros(len(cue.signal_names))
-    plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
-    one_sign = (*ONE_SIGN, "axial_force") if plain else ONE_SIGN
-    if all(name.rstrip("_0123456789") in one_sign for name in cue.signal_names):
-        return floors
     space = ContactCoordinates(whisker, cue, cue.priors(whisker))
     fractions = np.r_[1e-3, np.arange(0.1, 0.95, 0.1), 1 - 1e-3]
+    usual, tails = space.spread(fractions, others=5), space.spread(fractions, others=3)
+    tails[:, space.bounded :] *= 2.4  # as far out as posteriors go over nuisance parameters
     with np.errstate(all="ignore"):
-        signals, outcome = cue.signals(
-            whisker, space.constrain(space.spread(fractions, others=5))[0]
-        )
-    signals = signals[outcome == Outcome.HELD]
-    if signals.size:
-        usual = np.median(np.abs(signals), axis=0)
-        least, most = signals.min(axis=0), signals.max(axis=0)
-        changes = (least < -1e-6 * usual) & (most > 1e-6 * usual)
+        signals, outcome = cue.signals(whisker, space.constrain(np.concatenate([usual, tails]))[0])
+    held = outcome == Outcome.HELD
+    if held[: len(usual)].any():
+        size = np.median(np.abs(signals[: len(usual)][held[: len(usual)]]), axis=0)
+        least, most = signals[held].min(axis=0), signals[held].max(axis=0)
+        changes = (least < -1e-6 * size) & (most > 1e-6 * size)
         # To two digits, so that a refusal names the very floor that is the default.
-        floors[changes] = [float(f"{FLOOR_SHARE * size:.2g}") for size in usual[changes]]
+        floors[changes] = [float(f"{FLOOR_SHARE * s:.2g}") for s in size[changes]]
     floors.flags.writeable = False  # kept
     return floors
 
 
-def _with_floors(noise: ReceptorNoise, floors: Array) -> ReceptorNoise:
-    """Noise with these floors (S,) where it would vanish with the signal; itself where nowhere."""
-    components = noise.components(len(floors))
-    parts = [_floored(own, floors[signals]) for own, signals, _ in components]
-    if all(part is own for part, (own, _, _) in zip(parts, components, strict=True)):
+def _with_floors(noise: ReceptorNoise, whisker: Whisker, cue: Cue) -> ReceptorNoise:
+    """Noise with a floor where it vanishes with a signal that changes sign, else itself."""
+    plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
+    one_sign = (*ONE_SIGN, "axial_force") if plain else ONE_SIGN
+    lacks = np.array([name.rstrip("_0123456789") not in one_sign for name in cue.signal_names])
+    components = noise.components(len(lacks))
+    for own, signals, _ in components:
+        if own.is_categorical or not own.reads_signals:
+            lacks[signals] = False
+        elif lacks[signals].any():
+            lacks[signals] &= own.sd(np.zeros(lacks[signals].size)) == 0
+    if not lacks.any():  # before signals are worked out
         return noise
+    floors = np.where(lacks, _floors(whisker, cue), 0.0)
+    if not floors.any():
+        return noise
+    parts = [_floored(own, floors[signals]) for own, signals, _ in components]
     sizes = [signals.stop - signals.start for _, signals, _ in components]
     return Joint(parts, sizes) if len(parts) > 1 else parts[0]
 
 
 def _floored(noise: ReceptorNoise, floors: Array) -> ReceptorNoise:
-    if noise.is_categorical or not noise.reads_signals:
-        return noise
-    lacks: Flags = (floors > 0) & (noise.sd(np.zeros(len(floors))) == 0)
-    if not lacks.any():
+    """Weber's law with further floors, of Weber fraction and correlation of the noise."""
+    if not floors.any():
         return noise
     if isinstance(noise, GeneralisedWeber):
-        return replace(noise, floor=np.where(lacks, floors, noise.floor))
+        return replace(noise, floor=np.where(floors > 0, floors, noise.floor))
     k, rho = getattr(noise, "weber_fraction", 0.1), getattr(noise, "correlation", 0.0)
-    return GeneralisedWeber(k, floor=np.where(lacks, floors, 0.0), correlation=rho)
+    return GeneralisedWeber(k, floor=floors, correlation=rho)
