@@ -21,6 +21,7 @@ from scipy.special import expit, logit
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, cues, domain, receptors
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 
 Array = np.ndarray
 Case = dict[str, Array]
@@ -61,7 +62,9 @@ OBSERVERS: dict[str, Make] = {
     "log-normal": lambda k: Observer(W, cues.Compliance(), receptors.LogNormal(k)),
     "force map": lambda k: Observer(W, cues.ForceMap(), receptors.Weber(k)),
     "cylinder's ridge": lambda k: Observer(CYLINDER, cues.ForceMap(), receptors.Weber(k)),
-    "three forces": lambda k: Observer(W, cues.ForceMap(SIGNALS), receptors.Weber(k)),
+    "three forces": lambda k: Observer(
+        W, cues.ForceMap(SIGNALS), default_noise(W, cues.ForceMap(SIGNALS), k)
+    ),
     "correlated map": lambda k: Observer(
         W, cues.ForceMap(), receptors.Weber([k, 2 * k], correlation=0.95)
     ),

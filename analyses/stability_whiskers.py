@@ -31,6 +31,7 @@ from stability_posteriors import Sums, distance_sums
 import weberwhisk as ww
 from weberwhisk import Observer, Posterior, Status, Whisker, cues, domain, receptors
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 
 Array = np.ndarray
 Case = dict[str, Array]
@@ -88,12 +89,6 @@ def fused(of: dict[str, float]) -> Observer:
     return fusion(of["length"], radius, ratio, _one(of, "pair", pair), of["k"], of["other"])
 
 
-def noise_of(whisker: Whisker, cue: Any, k: float) -> receptors.ReceptorNoise:
-    """Weber's law; a transverse force, which heavy contacts turn, has a floor."""
-    least = [0.01 * whisker.force_scale * (n == "transverse_force") for n in cue.signal_names]
-    return receptors.GeneralisedWeber(k, floor=least) if any(least) else receptors.Weber(k)
-
-
 def real(of: dict[str, float]) -> Observer:
     """A case's curved whisker that rubs."""
     radius, ratio = of["slender"] * of["length"], _one(of, "ratio", REAL_RATIOS)
@@ -102,18 +97,14 @@ def real(of: dict[str, float]) -> Observer:
     sensed = _one(of, "sensed", SENSED)
     signals = {"M, Fx": SIGNALS[:2], "M, Fy": SIGNALS[::2], "M, Fx, Fy": SIGNALS}
     cue = cues.ForceMap(signals[sensed]) if sensed in signals else cues.Compliance(tap_angle=0.1)
-    return Observer(
-        whisker, cues.Friction(cue, np.radians(of["friction"])), noise_of(whisker, cue, of["k"])
-    )
+    rubbing = cues.Friction(cue, np.radians(of["friction"]))
+    return Observer(whisker, rubbing, default_noise(whisker, rubbing, of["k"]))
 
 
-def _of_space(cue: cues.SpaceMap, k: float) -> receptors.ReceptorNoise:
-    """The cue's own noise, with k for Weber's and k rad for directions."""
-    parts = [
-        receptors.GeneralisedWeber(0.0, floor=k) if "direction" in n else receptors.Weber(k)
-        for n in cue.signal_names
-    ]
-    return receptors.Joint(parts, sizes=[1] * len(parts))
+def _of_space(whisker: Whisker, k: float) -> receptors.ReceptorNoise:
+    """The default noise of `SpaceMap`, with k for Weber's and k rad for directions."""
+    forces = default_noise(whisker, cues.SpaceMap(SIGNALS), k)
+    return receptors.Joint([forces, receptors.GeneralisedWeber(0.0, floor=k)], sizes=[3, 2])
 
 
 @lru_cache(maxsize=16)
@@ -122,13 +113,15 @@ def _kept(kind: str, curvature: float, k: float) -> Observer:
     cue = cues.ForceMap()
     if kind == "hinge":
         whisker = replace(whisker, hinge_stiffness=3 * whisker.stiffness / 10e-3)
-        return Observer(whisker, cues.UnknownHinge(cue, 0.3), receptors.Weber(k))
-    if kind == "curvature":
-        return Observer(whisker, cues.UnknownCurvature(cue, 2.0), receptors.Weber(k))
-    if kind == "friction":
-        return Observer(whisker, cues.Friction(cue), receptors.Weber(k))
-    cue = cues.SpaceMap()
-    return Observer(whisker, cue, _of_space(cue, k))
+    wrapped = {
+        "hinge": lambda: cues.UnknownHinge(cue, 0.3),
+        "curvature": lambda: cues.UnknownCurvature(cue, 2.0),
+        "friction": lambda: cues.Friction(cue),
+    }
+    if kind in wrapped:
+        made = wrapped[kind]()
+        return Observer(whisker, made, default_noise(whisker, made, k))
+    return Observer(whisker, cues.SpaceMap(), _of_space(whisker, k))
 
 
 def uncertain(of: dict[str, float]) -> Observer:

@@ -26,6 +26,7 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
 
@@ -75,10 +76,11 @@ def test_of_two_thousand_intervals_93_to_97_per_cent_cover(name):
     assert 0.93 <= share <= 0.97
 
 
+FORCES = default_noise(W, UnknownStiffness(ForceMap(SIGNALS), 0.1), 0.05)
 #: Stiffness and noise small enough for no mass at the fold, at whose edge the midpoint rule errs.
 THREE = {
     "soft map": (UnknownStiffness(ForceMap(), 0.03), Weber(0.03), [20e-3, 0.25, 1.02]),
-    "three signals": (UnknownStiffness(ForceMap(SIGNALS), 0.1), Weber(0.05), [20e-3, 0.3, 1.05]),
+    "three signals": (UnknownStiffness(ForceMap(SIGNALS), 0.1), FORCES, [20e-3, 0.3, 1.05]),
     "soft fusion": (CUES["soft fusion"], None, [20e-3, 0.2, 0.9]),
     "unknown side": (CUES["unknown side"], None, [20e-3, 1.4, 10.2e-3]),
 }

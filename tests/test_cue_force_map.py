@@ -1,6 +1,7 @@
 """The map of moment and forces (§2f): any signals, angle known or not, stiffness known or not."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ import weberwhisk as ww
 from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.receptors import Weber
+from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 PAIRS = [ForceMap(pair) for pair in itertools.combinations(SIGNALS, 2)]
@@ -95,7 +97,7 @@ def test_a_known_angle_reaches_as_far_as_it_is_held():
 
 @pytest.mark.parametrize("cue", slow_but([PAIRS[1], KNOWN[0], KNOWN[1], ALL], (1, 3)), ids=repr)
 def test_posteriors_agree_with_brute_force(cue):
-    observer = ww.Observer(W, cue, Weber(0.1, correlation=0.3))
+    observer = ww.Observer(W, cue, replace(default_noise(W, cue), correlation=0.3))
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))
 
 
@@ -123,14 +125,15 @@ def test_intervals_cover_over_many_draws(cue):
     ("cue", "noise"),
     [
         (ForceMap(), Weber([0.01, 0.02], correlation=0.5)),
-        (ForceMap(["moment", "transverse_force"]), Weber(0.01)),
-        (ALL, Weber(0.01, correlation=-0.3)),
+        (ForceMap(["moment", "transverse_force"]), None),
+        (ALL, GeneralisedWeber(0.01, floor=[0, 0, 1e-7], correlation=-0.3)),
         (KNOWN[0], Weber(0.01)),
-        (UnknownStiffness(ALL, 0.05), Weber(0.01)),
+        (UnknownStiffness(ALL, 0.05), None),
     ],
 )
 def test_posteriors_have_the_propagated_width_at_small_noise(cue, noise):
     contact = np.array([[20e-3, 0.2, 1.0], [32e-3, 0.2, 1.0]])[:, : len(cue.unknowns)]
+    noise = noise or default_noise(W, cue, 0.01)
     small_noise_limit(ww.Observer(W, cue, noise), contact, draws=30, bias=5e-3)
 
 
@@ -152,7 +155,7 @@ def test_the_closed_form_of_the_pair_holds_for_any_noise(k, rho):
 
 def test_moment_over_transverse_force_is_the_distance_at_small_angle():
     """M = r·F: Δr = r·√(k_M² + k_F² − 2ρk_Mk_F), whatever the taper and the stiffness."""
-    noise = Weber([0.03, 0.04], correlation=0.5)
+    noise = GeneralisedWeber([0.03, 0.04], floor=[0, 1e-16], correlation=0.5)
     cue = ForceMap(["moment", "transverse_force"])
     r = np.array([10e-3, 25e-3, 45e-3])
     contact = np.stack([r, np.full(3, 1e-4), np.ones(3)], axis=-1)
@@ -189,7 +192,7 @@ def test_unknown_stiffness_spoils_the_papers_pair_and_the_tap_but_hardly_moment_
 def test_a_cylinders_pair_leaves_the_contact_open_and_a_third_signal_closes_it():
     cylinder = W.cylinder()
     for cue, status in ((ForceMap(), Status.UNIDENTIFIED), (ALL, Status.CONVERGED)):
-        observer = ww.Observer(cylinder, cue, Weber(0.03))
+        observer = ww.Observer(cylinder, cue, default_noise(cylinder, cue, 0.03))
         p = ww.posterior(observer, observer.read([25e-3, 0.3], seed=1))
         assert p.status == status
     assert np.isinf(weber_propagation(ww.Observer(cylinder, ForceMap()), [25e-3, 0.3]))

@@ -24,6 +24,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.mechanics import rod
@@ -62,7 +63,8 @@ def test_a_second_plane_costs_no_distance():
 
 
 def test_posteriors_have_the_propagated_width_at_small_noise():
-    noise = Joint([Weber(0.01), GeneralisedWeber(0, floor=0.01)], sizes=[3, 2])
+    sizes = default_noise(W, ForceMap(SIGNALS), 0.01)
+    noise = Joint([sizes, GeneralisedWeber(0, floor=0.01)], sizes=[3, 2])
     small_noise_limit(ww.Observer(W, SpaceMap(), noise), CONTACT[:2], draws=10, bias=5e-3)
 
 
@@ -284,7 +286,8 @@ def test_posteriors_are_those_of_a_plain_sum(cue, model, count):
     [(0, 0.03), (0, 0.1), (0, 0.3), (0.3, 0.03), (0.3, 0.1), (0.3, 0.3), (10.0, 0.1)],
 )
 def test_intervals_hold_the_contact_as_often_as_they_say(spread, k):
-    noise = Joint([Weber(k), GeneralisedWeber(0, floor=k)], sizes=[3, 2])
+    sizes = default_noise(CURVED, SpaceMap(SIGNALS), k)
+    noise = Joint([sizes, GeneralisedWeber(0, floor=k)], sizes=[3, 2])
     cue = UnknownRoll(SpaceMap(), spread) if spread else SpaceMap()
     observer = ww.Observer(CURVED, cue, noise)
     place = prior_draws(observer, 300, seed=6)
@@ -326,8 +329,9 @@ def test_a_curvature_that_is_all_but_known_is_known():
     place = np.column_stack([CONTACT * [1, 0.5, 1], [0.02, -0.04, 0.06]])
     exact = cue.signals(CURVED, place, model="rod")[0]
     assert cue.signals(CURVED, place)[0] == pytest.approx(exact, rel=2e-4, abs=1e-9)
+    noise = default_noise(CURVED, SpaceMap())
     known, unknown = (
-        ww.Observer(CURVED, cue) for cue in (SpaceMap(), UnknownCurvature(SpaceMap(), 0.02))
+        ww.Observer(CURVED, cue, noise) for cue in (SpaceMap(), UnknownCurvature(SpaceMap(), 0.02))
     )
     reading = known.read([30e-3, 0.25, 2.0], seed=4)
     one, other = ww.posterior(known, reading), ww.posterior(unknown, reading)
@@ -335,7 +339,7 @@ def test_a_curvature_that_is_all_but_known_is_known():
     for name, estimate in one.estimates.items():
         assert other.estimates[name].mean == pytest.approx(estimate.mean, abs=2e-3 * estimate.sd)
         assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
-        wide = 0.15 if name == "azimuth" else 0.01  # of which slices are 0.4 sd apart
+        wide = 0.15 if name == "azimuth" else 0.02  # of which slices are 0.4 sd apart
         off = np.abs(other.interval(of=name) - one.interval(of=name))
         assert off.max() < wide * estimate.sd
     assert other.estimates["curvature_offset"].sd == pytest.approx(0.02, rel=2e-3)
@@ -387,7 +391,7 @@ def test_jnds_are_those_of_the_information():
     assert fisher_jnd(ww.Observer(CURVED, SpaceMap(SPACE)), place)[0] < jnd[0]
     curve = ww.jnd_curve(observer, 30e-3, 0.25, n_readings=4, seed=1)
     straight = ww.jnd_curve(ww.Observer(W, SpaceMap()), 30e-3, 0.25, n_readings=4, seed=1)
-    assert curve["closed_form"][0] == pytest.approx(straight["closed_form"][0], rel=1e-3)
+    assert curve["closed_form"][0] == pytest.approx(straight["closed_form"][0], rel=1e-2)
     assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
 
 
@@ -536,12 +540,13 @@ def plain_sum(observer, reading, found, counts):
 )  # fmt: skip
 def test_posteriors_of_an_unknown_roll_are_those_of_a_plain_sum(signals, roll, spread, k, counts):
     cue = UnknownRoll(SpaceMap(signals, roll=roll), spread)
-    noise = [Weber(k), GeneralisedWeber(0, floor=k)]
     if "torsion" in signals:  # components change sign
-        noise[1] = GeneralisedWeber(k, floor=[2e-6, 2e-6, 4e-8])
-    observer = ww.Observer(
-        CURVED, cue, Joint(noise, sizes=[2, 3] if "torsion" in signals else [3, len(signals) - 3])
-    )
+        noise = GeneralisedWeber(k, floor=[0.0, 1e-6, 2e-6, 2e-6, 4e-8])
+    else:
+        angles = GeneralisedWeber(0, floor=k)
+        sizes = default_noise(CURVED, SpaceMap(SIGNALS), k)
+        noise = Joint([sizes, angles], sizes=[3, len(signals) - 3])
+    observer = ww.Observer(CURVED, cue, noise)
     reading = observer.read([30e-3, 0.25, 2.0, roll + 0.2], seed=4)
     found = ww.posterior(observer, reading)
     assert found.status == ww.Status.CONVERGED
@@ -563,8 +568,7 @@ def test_posteriors_of_an_unknown_roll_are_those_of_a_plain_sum(signals, roll, s
     ids=lambda prior: " and ".join(prior),
 )
 def test_priors_of_your_own_with_an_unknown_roll_are_those_of_a_plain_sum(prior):
-    noise = Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[3, 2])
-    observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), 0.3), noise, prior)
+    observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), 0.3), prior=prior)
     reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
     found = ww.posterior(observer, reading)
     if set(prior) == {"azimuth"}:  # whose ends four axes of few nodes see badly, and say so
@@ -675,7 +679,8 @@ def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_
     with pytest.raises(ValueError, match="A straight whisker has no torsion"):
         ww.Observer(shape, SpaceMap(sizes))
     angles = GeneralisedWeber(0, floor=0.1)
-    noise = Joint([GeneralisedWeber(0.1, floor=1e-9), Weber(0.1), angles], [1, 3, 2])
+    forces = default_noise(W, ForceMap(SIGNALS))
+    noise = Joint([GeneralisedWeber(0.1, floor=1e-9), forces, angles], [1, 3, 2])
     reading = np.array([2e-10, 1.98e-6, 2.26e-5, 5.65e-5, 1.18, 1.11])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -687,9 +692,7 @@ def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_
     assert np.isclose(found.sd, without.sd, rtol=2e-3)
 
 
-def test_directions_of_weber_noise_alone_are_refused_where_they_are_zero():
-    """They would be known exactly there: no JND is, and the observer itself is made."""
-    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6, curvature=8.0), SpaceMap(), Weber(0.1))
-    assert observer.model == "rod"
-    with pytest.raises(ValueError, match="give it a floor, such as"):
-        weber_propagation(observer, [20e-3, 0.2, 0.0])
+def test_directions_of_weber_noise_alone_are_refused():
+    """They would be known exactly where they are zero."""
+    with pytest.raises(ValueError, match="moment_direction and force_direction changes within"):
+        ww.Observer(CURVED, SpaceMap(), Weber(0.1))

@@ -8,15 +8,19 @@ import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import ForceMap, SpaceMap
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 from weberwhisk.inference.methods import factors_of
-from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+from weberwhisk.receptors import GeneralisedWeber, Joint
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 FLOOR = 0.05
+FORCES = default_noise(W, ForceMap(SIGNALS))
 
 
 def noise_of(sizes):
-    models = {1: Weber(0.1), 2: GeneralisedWeber(0, floor=FLOOR), 3: Weber(0.1)}
+    angle = GeneralisedWeber(0, floor=FLOOR)
+    both = GeneralisedWeber([0.1] * 3 + [0.0], floor=[*FORCES.floor, FLOOR])
+    models = {1: angle, 2: angle, 3: FORCES, 4: both}
     return Joint([models[n] for n in sizes], sizes=sizes)
 
 
@@ -41,7 +45,7 @@ def test_each_factor_is_what_it_is_alone(method):
     assert np.abs(azimuth.sd / exact.std() - 1).max() < 1e-5
     assert np.abs(p.quantile(0.1, of="azimuth") - exact.ppf(0.1)).max() < 0.02 * sd
 
-    alone = ww.posterior(ww.Observer(W, ForceMap(SIGNALS), Weber(0.1)), y[:, :3], method, seed=1)
+    alone = ww.posterior(ww.Observer(W, ForceMap(SIGNALS), FORCES), y[:, :3], method, seed=1)
     assert np.array_equal(p.sd, alone.sd)
     assert np.array_equal(p.status, alone.status)
     assert np.array_equal(p.quantile([0.1, 0.9]), alone.quantile([0.1, 0.9]))
@@ -71,7 +75,7 @@ def test_directions_that_contradict_each_other_are_improbable():
     assert ww.posterior(observer, y).status.tolist() == [0, Status.IMPROBABLE_READING]
 
 
-@pytest.mark.parametrize(("sizes", "apart"), [([3, 2], 2), ([3, 1, 1], 2), ([2, 3], None)])
+@pytest.mark.parametrize(("sizes", "apart"), [([3, 2], 2), ([3, 1, 1], 2), ([4, 1], None)])
 def test_noise_of_either_kind_of_signal_must_be_apart_too(sizes, apart):
     found = factors_of(ww.Observer(W, SpaceMap(), noise_of(sizes)))
     assert (found and found.signals) == apart
@@ -80,7 +84,7 @@ def test_noise_of_either_kind_of_signal_must_be_apart_too(sizes, apart):
 def test_what_does_not_come_apart_is_integrated_whole():
     assert factors_of(ww.Observer(W, ForceMap())) is None
     whole = ww.Observer(
-        W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[0] * 3 + [FLOOR] * 2)
+        W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[*FORCES.floor, FLOOR, FLOOR])
     )
     split = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
     assert factors_of(whole) is None

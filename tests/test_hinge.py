@@ -13,6 +13,7 @@ from weberwhisk import Whisker, cues, mechanics, receptors
 from weberwhisk.contacts.calibration import HingedTap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.inference import default_noise
 from weberwhisk.inference.nodes import conditional
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics import closed_form, elastica
@@ -197,7 +198,7 @@ def test_in_space_a_straight_whisker_turns_its_hinge_in_the_plane_of_the_contact
 @pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])  # 2, 15 s
 def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
     """Of one that is known a plain sum of three unknowns says so too."""
-    kinds = receptors.Weber(0.1), receptors.GeneralisedWeber(0, floor=0.1)
+    kinds = default_noise(hinged(), cues.SpaceMap()).noises
 
     def of(cue, noise):
         return ww.Observer(hinged(), cues.UnknownHinge(cue, spread) if spread else cue, noise)
@@ -341,6 +342,6 @@ def test_known_friction_goes_with_a_hinge():
 def test_a_soft_hinge_has_contacts_at_the_edge_of_what_is_held():
     """Their signals have no slopes to weigh a model by, and no observer could be made."""
     w = Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=2e-5, curvature=-10.0)
-    observer = ww.Observer(w, cues.UnknownHinge(cues.ForceMap(), 0.3), receptors.Weber(0.1))
+    observer = ww.Observer(w, cues.UnknownHinge(cues.ForceMap(), 0.3))
     assert observer.model == "profile"
     assert observer.why.endswith("the straight elastica has contacts lost that are held")

@@ -159,7 +159,8 @@ def test_the_force_map_asks_for_its_angle():
 
 def test_perfectly_correlated_signals_beyond_need_are_refused():
     cue = ForceMap(("moment", "axial_force", "transverse_force"))
-    observer = ww.Observer(W, cue, Weber(0.1, correlation=1.0))
+    noise = GeneralisedWeber(0.1, floor=[0, 0, 1e-9], correlation=1.0)
+    observer = ww.Observer(W, cue, noise)
     with pytest.raises(ValueError, match=r"no best combination.*write a correlation"):
         weber_propagation(observer, [30e-3, 0.3])
 

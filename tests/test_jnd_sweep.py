@@ -8,6 +8,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import surveys
+from weberwhisk.cues import ForceMap, Friction
+from weberwhisk.inference import default_noise
 from weberwhisk.mechanics import profile
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -52,7 +54,10 @@ def test_the_surface_by_posteriors_ends_at_the_fold_and_falls_to_the_base():
 
 
 def test_jnds_of_curved_and_rubbing_whiskers_are_those_of_the_planar_beam():
-    """Linear JNDs with slopes by differences of the beam's signals."""
+    """Linear JNDs with slopes by differences of the beam's signals.
+
+    Axial forces that change sign have a floor: on the concave side, and where the whisker rubs.
+    """
     table = surveys.curvatures(2, 2)
     step, k = 1e-4, surveys.K
     for row in table.to_dict("records"):
@@ -63,9 +68,11 @@ def test_jnds_of_curved_and_rubbing_whiskers_are_those_of_the_planar_beam():
         r, push = near.T  # from where the whisker is at rest
         bent = profile.press(whisker, r, profile.rest_angle(whisker, r) + push, psi)
         if row["outcome"].startswith("held"):
-            ln = np.log(np.abs([bent.moment, bent.axial_force]))
-            slope = (ln[:, ::2] - ln[:, 1::2]) / (2 * step * contact)
-            jnd = k * np.sqrt(np.linalg.inv(slope.T @ slope)[0, 0])
+            signals = np.array([bent.moment, bent.axial_force])
+            cue = Friction(ForceMap(), psi) if psi else ForceMap()
+            sd = default_noise(whisker, cue, k).sd(signals.mean(axis=1))
+            slope = (signals[:, ::2] - signals[:, 1::2]) / (2 * step * contact) / sd[:, None]
+            jnd = np.sqrt(np.linalg.inv(slope.T @ slope)[0, 0])
             assert row["propagation_mm"] == pytest.approx(1e3 * jnd, rel=2e-3)
     assert list(table.groupby("whisker")["outcome"].first().str[:4]) == ["held"] * 4
     assert set(zip(table["whisker"], table["model"], strict=True)) == {

@@ -15,6 +15,7 @@ from weberwhisk.cli import app
 from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.contacts.sums import _SPANS, alike, touch_posterior
+from weberwhisk.inference import default_noise
 
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
@@ -99,10 +100,11 @@ def test_ridges_of_precise_readings_and_an_unknown_stiffness_are_whole() -> None
 
 
 def test_no_part_of_a_long_posterior_is_left_out_at_the_first_spacing() -> None:
-    noise, forces = ww.receptors.Weber(0.3), ["moment", "axial_force", "transverse_force"]
+    forces = ["moment", "axial_force", "transverse_force"]
     y = np.array([[8.54581789e-08, 1.85481110e-06, 2.47848520e-06]])
-    found = ww.locate(pd.DataFrame(y, columns=forces), KNOWN, noise=noise)
-    p = ww.posterior(ww.Observer(KNOWN, ww.cues.ForceMap(forces), noise), y)
+    found = ww.locate(pd.DataFrame(y, columns=forces), KNOWN, noise=0.3)
+    cue = ww.cues.ForceMap(forces)
+    p = ww.posterior(ww.Observer(KNOWN, cue, default_noise(KNOWN, cue, 0.3)), y)
     assert abs(found["radial_distance_mm"][0] - 1e3 * p.mean[0]) < 0.02e3 * p.sd[0]
     assert found["sd_mm"][0] == pytest.approx(1e3 * p.sd[0], rel=0.01)
 

@@ -28,6 +28,7 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
 from weberwhisk.contacts.lattice import Lattice, Readings
+from weberwhisk.inference import default_noise
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
@@ -82,7 +83,7 @@ def _touches(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Radial distances and their posterior masses, of contacts sensed with noise k."""
     rng, whisker = np.random.default_rng(seed), ENCODING.observer.whisker
-    lattice = Lattice(ww.Observer(whisker, cue, ww.receptors.Weber(k)))
+    lattice = Lattice(ww.Observer(whisker, cue, default_noise(whisker, cue, k)))
     theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
     contact = np.stack([true, theta], axis=-1)
     y = Readings(lattice.observer.read(contact, rng))

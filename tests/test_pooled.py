@@ -23,6 +23,7 @@ from weberwhisk.design.plan_file import (
     plan_of,
     preregistration,
 )
+from weberwhisk.inference import default_noise
 from weberwhisk.jnd import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -237,7 +238,7 @@ def test_map_in_space_and_go_no_go_are_planned_without_hypotheses() -> None:
     (expected,) = plan.hypotheses
     assert expected.task == "go/no-go"
     observer = expected.encoding.observer
-    assert observer.noise == observer.cue.default_noise()
+    assert observer.noise == default_noise(CURVED, observer.cue)
     assert {
         h.task for h in ww.plan_experiment("C2", task="yes/no", trials=2, runs=0).hypotheses
     } == {"yes/no"}

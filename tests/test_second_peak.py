@@ -7,7 +7,7 @@ from cue_checks import brute_force
 import weberwhisk as ww
 from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.inference import Status
+from weberwhisk.inference import Status, default_noise
 from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
 
@@ -48,7 +48,7 @@ def test_an_ordinary_reading_is_not_called_improbable(cue, contact):
 
     One reading in a hundred was said to be none that such a contact gives.
     """
-    observer = ww.Observer(W, cue, Weber(0.003))
+    observer = ww.Observer(W, cue, default_noise(W, cue, 0.003))
     p = ww.posterior(observer, observer.signals(np.array([contact]))[0])
     assert p.status[0] == Status.OUTSIDE_DOMAIN  # as such receptors are
     assert abs(p.mean[0] - contact[0]) < 2 * p.sd[0]

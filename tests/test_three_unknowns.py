@@ -15,6 +15,7 @@ from weberwhisk.cues import (
     TwoWhiskers,
     UnknownStiffness,
 )
+from weberwhisk.inference import default_noise
 from weberwhisk.inference.grid import OwnGrids
 from weberwhisk.inference.laplace import find_mode
 from weberwhisk.inference.summed import likelihood_of
@@ -396,7 +397,8 @@ def test_four_unknowns_are_three_and_one():
 def test_four_unknowns_with_friction_are_those_of_draws_from_the_prior():
     """Distance, angle, friction and stiffness, beside importance sampling of four million draws."""
     forces = ForceMap(("moment", "axial_force", "transverse_force"))
-    observer = ww.Observer(W, UnknownStiffness(ww.cues.Friction(forces), 0.2), Weber(0.2))
+    cue = UnknownStiffness(ww.cues.Friction(forces), 0.2)
+    observer = ww.Observer(W, cue, default_noise(W, cue, 0.2))
     reading = observer.read([25e-3, 0.3, 0.1, 1.1], seed=3)
     p = ww.posterior(observer, reading)
     assert p.status == 0

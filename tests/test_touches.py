@@ -8,7 +8,7 @@ from scipy.stats import binomtest, norm, rv_histogram
 from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
-from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
 from weberwhisk.inference.touches import _grid, touches
 from weberwhisk.jnd import prior_draws
 from weberwhisk.jnd_curves import touches_jnd
@@ -24,9 +24,8 @@ W = Whisker(50e-3, 100e-6, 5e-6)
     slow_but([(0.03, 0.0), (0.2, 8.0), (0.1, -12.0), (0.2, 0.0), (0.03, 8.0)], range(3)),
 )
 def test_one_touch_is_todays_posterior(k, curvature):
-    observer = Observer(
-        Whisker(50e-3, 100e-6, 5e-6, curvature=curvature), cues.ForceMap(), Weber(k)
-    )
+    whisker = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
+    observer = Observer(whisker, cues.ForceMap(), default_noise(whisker, cues.ForceMap(), k))
     # Heavy ones next to the base were up to 1e-5 sd off.
     contacts = [10e-3, 0.5], [25e-3, 0.2], [42e-3, 0.02], [7.5e-3, 0.98]
     for seed, contact in enumerate(contacts):
@@ -111,7 +110,7 @@ def test_ten_equal_touches_may_say_more_than_root_ten_as_a_plain_sum_does(
 def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed, between):
     """Of several deflections, beside a sum over distance and each deflection."""
     whisker = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
-    observer = Observer(whisker, cues.ForceMap(), Weber(k))
+    observer = Observer(whisker, cues.ForceMap(), default_noise(whisker, cues.ForceMap(), k))
     # Else each look-up copied all signals first: ten touches took 36 ms on a curved whisker.
     assert _grid(observer).signals.flags.c_contiguous
     limit = observer.angle_range(np.array([distance]))[1]
@@ -138,7 +137,7 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
 
 def test_a_touch_of_next_to_no_axial_force_is_summed_finely():
     """On a concave whisker the force passes through zero, and its noise: 4e-3 sd off, converged."""
-    observer = Observer(Whisker(50e-3, 100e-6, 5e-6, curvature=-12.0), cues.ForceMap(), Weber(0.1))
+    observer = Observer(Whisker(50e-3, 100e-6, 5e-6, curvature=-12.0), cues.ForceMap())
 
     def axial(r, theta):
         return observer.signals(np.stack(np.broadcast_arrays(r, theta), axis=-1))[0][..., 1]
@@ -164,30 +163,7 @@ def test_a_touch_of_next_to_no_axial_force_is_summed_finely():
     assert found.sd == pytest.approx(sd, rel=1e-3)
 
 
-def test_peaks_between_nodes_are_not_silent():
-    """About zeros of signals the noise is none; converged touches were 1.5 sd off, three signals.
-
-    Of two signals one with an axial force of 2.7e-10 N was 0.6 sd off, beside rows cut at the zero
-    with nodes as dense on either side as digits allow.
-    """
-    concave = Whisker(50e-3, 100e-6, 5e-6, curvature=-12.0)
-    two = Observer(concave, cues.ForceMap(), Weber(0.3))
-    reading = [[1.8124742436981623e-06, 2.7083501963718397e-10]]
-    assert touches(two, reading).status == Status.IMPRECISE
-    observer = Observer(concave, cues.ForceMap(SIGNALS), Weber(0.1))
-    readings = observer.read(prior_draws(observer, 30, 3), 4)
-    exact = posterior(observer, readings)
-    found = [touches(observer, [reading]) for reading in readings]
-    assert all(f.status == Status.CONVERGED for f in found)
-    assert (np.abs([f.mean for f in found] - exact.mean) < 1e-3 * exact.sd).all()
-    assert [f.sd for f in found] == pytest.approx(exact.sd, rel=1e-3)
-    # Nearer to a zero than nodes are: up to 7 sd off.
-    x = np.array([[x, observer.space.zeros.x[0] + 3e-6] for x in (-1.0, 0.0, 1.0)])
-    for reading in observer.signals(observer.contact(x)[0])[0]:
-        assert touches(observer, [reading]).status == Status.IMPRECISE
-
-
-RUBBING = Observer(W, cues.Friction(cues.ForceMap()), Weber(0.1))
+RUBBING = Observer(W, cues.Friction(cues.ForceMap()))
 
 
 def test_the_friction_of_each_touch_is_summed():
@@ -331,7 +307,7 @@ def test_a_touch_of_unknown_stiffness_is_its_posterior(floor):
 
 def test_a_touch_of_uncertain_curvature_is_its_posterior():
     curved = replace(W, curvature=8.0)
-    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0), Weber(0.1))
+    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0))
     reading = observer.read([28e-3, 0.3, 1.0], seed=1)
     one, today = touches(observer, reading), posterior(observer, reading)
     assert one.status == Status.CONVERGED

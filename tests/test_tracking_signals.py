@@ -231,7 +231,7 @@ def test_either_side_of_a_curved_whisker_and_hidden_contacts() -> None:
     assert (other["side"] == -same["side"]).all()
     assert (found["half"]["sd_mm"].median() > 2 * same["sd_mm"].median()) & (len(same) > 4)
     # Receptors come on top, and what tracking alone leaves is told beside it.
-    both = ww.locate(signals.iloc[:3], C2, noise=ww.receptors.Weber(0.1))
+    both = ww.locate(signals.iloc[:3], C2, noise=0.1)
     np.testing.assert_allclose(both["measurement_sd_mm"], found["concave"]["sd_mm"].iloc[:3])
     assert (both["sd_mm"] > 2 * both["measurement_sd_mm"]).all()
 

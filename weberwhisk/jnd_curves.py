@@ -16,11 +16,11 @@ from ._checks import angle, finite, generator, one_of, positive, positive_number
 from ._values import Array, Shown, pd, renamed_arguments, with_units
 from .cues import Compliance, ForceMap
 from .inference.coordinates import UNITS
-from .inference.observer import Observer
+from .inference.observer import Observer, default_noise
 from .inference.touches import shared_unknowns, touches
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 from .mechanics.contact import Outcome
-from .receptors import Seed, Weber
+from .receptors import Seed
 from .whisker import Whisker
 
 #: Columns of a `JNDCurve` that are JNDs, m.
@@ -342,7 +342,8 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
     whisker, k, how = Whisker(**chunk["whisker"]), chunk["weber_fraction"], dict(chunk)
     del how["whisker"], how["weber_fraction"]
     cue = Compliance() if how["deflection_angle"] is None else ForceMap()
-    curve = jnd_curve(Observer(whisker, cue, Weber(k)), seed=seed, **how)
+    noise = default_noise(whisker, cue, k)
+    curve = jnd_curve(Observer(whisker, cue, noise), seed=seed, **how)
     table = curve.table.reset_index()
     table.insert(0, "weber_fraction", k)
     return table

@@ -31,7 +31,7 @@ from .cues import (
 )
 from .cues.force_map import SIGNALS
 from .inference import Status, posterior
-from .inference.observer import Observer
+from .inference.observer import Observer, default_noise
 from .jnd import added_information, fisher_jnd, weber_propagation
 from .jnd_curves import jnd_curve
 from .mechanics import elastica
@@ -133,7 +133,7 @@ def curvatures(
     for name, turn, degrees in scenes:
         curved = replace(whisker, curvature=turn / whisker.length)
         cue = Friction(ForceMap(), np.radians(degrees)) if degrees else ForceMap()
-        made = Observer(curved, cue, Weber(K))
+        made = Observer(curved, cue, default_noise(curved, cue, K))
         table = jnd_curve(made, r, ANGLE, n_readings=draws, seed=seed).table.reset_index()
         table = table.assign(curvature_per_m=curved.curvature, friction_angle_deg=degrees)
         table = table.assign(whisker=name, model=str(made.model), place=r / whisker.length)

@@ -35,7 +35,7 @@ from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.objects import Walls, rate_on_wall, slid
 from .mechanics.shape import Profile
-from .receptors import ReceptorNoise, Seed, Weber
+from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
 #: Share of objects that are walls; where in question with more than this probability, and beyond
@@ -125,6 +125,7 @@ def follow(
     Examples
     --------
     >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> from weberwhisk.receptors import Weber
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians([2.0, 4.0, 8.0, 16.0])
     >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
@@ -267,6 +268,7 @@ class SweepFilter:
     Examples
     --------
     >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> from weberwhisk.receptors import Weber
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians(np.arange(1.0, 21.0))
     >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
@@ -288,7 +290,7 @@ class SweepFilter:
     ) -> None:
         priors = {} if prior is None else {"radial_distance": prior}
         cue = _of_moment(whisker, cue)
-        self.observer = Observer(whisker, cue, Weber(0.1) if noise is None else noise, priors)
+        self.observer = Observer(whisker, cue, noise, priors)  # type: ignore[arg-type]
         hint = "give whisker lengths per rad, 0 for a peg"
         self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
         self.slip_change = float(non_negative("slip_change", slip_change, hint))

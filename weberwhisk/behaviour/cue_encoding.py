@@ -152,9 +152,9 @@ class CueEncoding:
                 return np.where(np.isfinite(encoded), 1.0, np.nan)
             return np.asarray(_varied(noise, k.size, 1.0, floor=False).sd(signals)[..., 0] / first)
         own = self.observer.bounded == len(self.observer.unknowns)
-        if k.all() and own:
+        if k.all() and own and not noise.floors(k.size).any():
             jnd = self._jnd(stimulus, _varied(noise, k.size, 1.0, floor=False))
-        else:  # some is not Weber's, or of a prior: what is added as the Weber fractions double
+        else:  # some is a floor, or of a prior: what is added as the Weber fractions double
             both = (_varied(noise, k.size, factor, floor=True) for factor in (2.0, 1.0))
             more, less = (self._jnd(stimulus, each) for each in both)
             jnd = np.sqrt(np.maximum(more**2 - less**2, 0.0) / 3)

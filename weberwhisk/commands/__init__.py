@@ -31,6 +31,7 @@ from .. import _checks
 from .._values import Array, pd
 from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
+from ..inference import default_noise
 from ..output import Run, to_json
 
 Text = str | None
@@ -219,8 +220,8 @@ def the_scene(
     if cue not in SCENES:
         name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
         made, angles = the_cue(name, angles_deg)
-        noise = the_noise(weber_fraction, len(made.signal_names))
-        return ww.Observer(whisker, made, noise), angles
+        k = weber_fractions(weber_fraction, len(made.signal_names))
+        return ww.Observer(whisker, made, default_noise(whisker, made, k)), angles
     made = SCENES[cue](whisker)
     deflected = "deflection_angle" in made.unknowns
     useless = [(weber_fraction, "--weber-fraction")]
@@ -263,8 +264,8 @@ def _angles(texts: Texts) -> Array:
     return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
 
 
-def the_noise(texts: Texts, signals: int | None = None) -> ww.receptors.Weber:
-    """Weber noise from ``--weber-fraction``: one for all signals or one each."""
+def weber_fractions(texts: Texts, signals: int | None = None) -> Array | float:
+    """Those of ``--weber-fraction``: one for all signals or one each."""
     fractions = numbers("--weber-fraction", texts or ["0.1"])
     _checks.positive("--weber-fraction", fractions, "write 0.1, say")
     if signals is not None and fractions.size not in (1, signals):
@@ -272,7 +273,7 @@ def the_noise(texts: Texts, signals: int | None = None) -> ww.receptors.Weber:
             f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
             f"got {fractions.size}; write 0.1, say."
         )
-    return ww.receptors.Weber(fractions if fractions.size > 1 else float(fractions[0]))
+    return fractions if fractions.size > 1 else float(fractions[0])
 
 
 def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:

@@ -23,19 +23,25 @@ from ..cli import numbers
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.placement import RULES
 from ..design.session import Session, converse
+from ..inference import default_noise
 from ..output import Run, atomic_write, csv_text, to_json
-from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
+from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating
 
-_Model = Callable[[float, Array], ReceptorNoise]
-#: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
-#: scale of the one that is fitted.
+_Model = Callable[[float, Array, Array], ReceptorNoise]
+#: Receptors of a number, the signals at half the length, and floors of signals that change sign.
+#: Their own Weber fraction, 0.1, is the scale of the one that is fitted.
 RECEPTORS: dict[str, _Model] = {
-    "near-miss": lambda number, typical: NearMiss(0.1, exponent=number, reference=typical),
-    "floor": lambda number, typical: GeneralisedWeber(0.1, floor=number * typical),
-    "ceiling": lambda number, typical: GeneralisedWeber(0.1, floor=0.0, ceiling=number * typical),
-    "saturating": lambda number, typical: Saturating(0.1, ceiling=number * typical),
+    "near-miss": lambda number, typical, _: NearMiss(0.1, exponent=number, reference=typical),
+    "floor": lambda number, typical, _: GeneralisedWeber(0.1, floor=number * typical),
+    "ceiling": lambda number, typical, floor: GeneralisedWeber(
+        0.1, floor=floor, ceiling=number * typical
+    ),
+    "saturating": lambda number, typical, floor: Saturating(
+        0.1, floor=floor, ceiling=number * typical
+    ),
 }
-PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(0.1), "log-normal": LogNormal(0.1)}
+#: Receptors of no number.
+PLAIN = ("weber", "log-normal")
 
 
 def distance_encoding(
@@ -90,8 +96,9 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
             f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
             f"{name if given else f'{name}=0.5'}, say."
         )
+    usual = default_noise(observer.whisker, observer.cue, 0.1)
     if name in PLAIN:
-        return PLAIN[name]
+        return usual if name == "weber" else LogNormal(0.1)
     number = float(_checks.positive("--receptors", given, f"write {name}=0.5, say"))
     contact: list[Any] = [0.5 * observer.whisker.length]
     if "deflection_angle" in observer.unknowns:
@@ -102,7 +109,7 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
             "--receptors are in units of the signals at half the length, and there the "
             "contact is lost; give a smaller --deflection-angle-deg."
         )
-    return RECEPTORS[name](number, typical)
+    return RECEPTORS[name](number, typical, usual.floors(len(typical)))
 
 
 @opt.command

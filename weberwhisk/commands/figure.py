@@ -16,6 +16,7 @@ from .._values import pd
 from ..behaviour import CueEncoding, Encoding, PooledEncoding, response_probability, task_named
 from ..cli import progress
 from ..design import Hypothesis, Scheme, taper
+from ..inference import default_noise
 from ..mechanics.muscle import MuscleCurve
 from ..output import Run, atomic_write
 from . import NO_SHAPE, Shape, Text, as_asked, command, describe, finish, the_whisker
@@ -168,7 +169,7 @@ def touches(asked: Asked) -> Made:
         whisker = ww.Whisker.from_identity("C2", species="mouse")
     known = ww.cues.ForceMap()
     for k, cue in ((0.3, known), (0.1, known), (0.1, ww.cues.UnknownStiffness(known))):
-        observer = ww.Observer(whisker, cue, ww.receptors.Weber(k))
+        observer = ww.Observer(whisker, cue, default_noise(whisker, cue, k))
         r = 0.6 * whisker.length
         angle = observer.angle_range(np.array([r]))[1]  # as likely anywhere in it, as the prior
         name = f"k = {k:g}" if cue is known else "the same, stiffness unknown"

@@ -249,7 +249,7 @@ def locate(
     table_or_path: Any = contacts
     whisker = opt.the_whisker(shape)
     heard: tuple[str, ...] = ()
-    noise = None if weber_fraction is None else opt.the_noise(weber_fraction)
+    noise = None if weber_fraction is None else opt.weber_fractions(weber_fraction)
     with Run(out, "locate", options) as run, progress("Rows", 1.0, as_json=as_json) as advance:
         shown = [0.0]
 

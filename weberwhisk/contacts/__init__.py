@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks, domain
 from .._values import Array, Index
@@ -20,7 +20,7 @@ from ..cues import Cue
 from ..cues.force_map import MeasuredAngle, is_curved
 from ..inference import Status
 from ..inference.coordinates import in_words
-from ..inference.observer import Observer
+from ..inference.observer import Observer, default_noise
 from ..mechanics import Profile
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
@@ -76,7 +76,7 @@ def locate(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     touch: str | Sequence[Any] | None = None,
-    noise: ReceptorNoise | None = None,
+    noise: ReceptorNoise | ArrayLike | None = None,
     prior: Mapping[str, Any] | None = None,
     known_stiffness: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -108,8 +108,9 @@ def locate(
         is empty, 0 or False are in none. Rows of a touch share distance, stiffness and how far up
         to the fold angles go, which is unknown where a row's may be any: a touch of two or three
         rows may be less certain than they are.
-    noise : ReceptorNoise, optional
-        By default the measurement errors alone where the table has them, else the cue's own noise:
+    noise : ReceptorNoise or Weber fraction, optional
+        A Weber fraction is that of `inference.default_noise`, one or one for each signal. By
+        default the measurement errors alone where the table has them, else the cue's own noise:
         Weber's law with k = 0.1, and one degree of a measured angle. With both, they add, and
         `measurement_sd_mm` is the sd without receptors.
     prior : mapping, optional
@@ -212,7 +213,7 @@ def locate(
     between = np.full((len(raw), 2), np.nan)
     lattices = np.full(len(raw), None, dtype=object)
     for rows, own in _by_side(side, whisker):
-        observer = Observer(own, cue, noise, prior or {})  # type: ignore[arg-type]
+        observer = Observer(own, cue, _receptors(noise, own, cue), prior or {})
         if observer.noise.is_categorical or not observer.noise.reads_signals:
             raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
         check_magnitudes(observer, y[rows], found)
@@ -250,13 +251,21 @@ def locate(
         f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
         f"{_priors(observer)}"
     )
-    if note := Observer(whisker, cue, noise, prior or {}).note:  # type: ignore[arg-type]
+    as_given: Any = whisker
+    if note := Observer(as_given, cue, _receptors(noise, as_given, cue), prior or {}).note:
         notes.append(f"{note}.")  # of the whisker as given, which rows may see mirrored
     words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
+
+
+def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
+    """The noise of an observer: as it is, or of a Weber fraction."""
+    if noise is None or isinstance(noise, ReceptorNoise):
+        return noise
+    return default_noise(whisker, cue, noise)
 
 
 def _touches_of(

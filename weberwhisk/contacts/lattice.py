@@ -140,7 +140,8 @@ class Lattice:
             low, middle, high = np.log(self.stiffness.ppf([0.159, 0.5, 0.841]))
             self.log_median, self.log_sd = float(middle), float(high - low) / 2
             prior = {name: p for name, p in observer.prior.items() if name != "stiffness"}
-            observer = replace(observer, cue=observer.cue.cue, prior=prior)
+            kept = observer._filled._replace(noise=None)  # floors stay those of the whole
+            observer = replace(observer, cue=observer.cue.cue, prior=prior, _filled=kept)
         self.observer = observer
         self.unknowns, self.size = len(observer.unknowns), len(observer.cue.signal_names)
         # The tails of strong Weber noise are wide: with k = 0.3 errors were 0.04 sd by plain nodes.

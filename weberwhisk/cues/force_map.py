@@ -53,7 +53,8 @@ class ForceMap(Cue):
     Notes
     -----
     The transverse force is that across the base tangent, and changes its sign where the contact
-    angle passes 90°: under Weber's law alone it would be known exactly there. Unknown stiffness is
+    angle passes 90°, the axial force of a whisker on its concave side at light contacts: where they
+    do, their noise has a floor (`inference.default_noise`). Unknown stiffness is
     `UnknownStiffness`; noise with a correlation, one Weber fraction a signal, is `Weber`'s.
 
     Examples
@@ -362,8 +363,8 @@ class SpaceMap(Cue):
     hundred knows of it (sds 3 % off that are claimed to 1 %). Components have none.
 
     Components change sign, and so do the axial forces of a curved whisker that is pushed against
-    its curvature and of one that rubs towards its tip: under Weber's law alone they would be known
-    exactly there; give the noise a floor.
+    its curvature and of one that rubs towards its tip: their noise has a floor
+    (`inference.default_noise`).
 
     Examples
     --------

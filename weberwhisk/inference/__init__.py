@@ -1,7 +1,10 @@
 """From readings to contacts: the observer, and the posterior of what it does not know."""
 
 from .methods import Estimate, Posterior, Status, posterior
-from .observer import Observer
+from .observer import Observer, default_noise
 from .touches import Touches, touches
 
-__all__ = ["Estimate", "Observer", "Posterior", "Status", "Touches", "posterior", "touches"]
+__all__ = [
+    "Estimate", "Observer", "Posterior", "Status", "Touches", "default_noise", "posterior",
+    "touches",
+]  # fmt: skip

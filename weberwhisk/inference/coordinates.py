@@ -8,19 +8,16 @@ are no bounds: `constrain` carries x to the contact, `unconstrain` back.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
-from scipy.optimize.elementwise import find_root
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from .._checks import one_of, shown
-from .._values import Array, Index
+from .._values import Array
 from ..cues.protocol import Cue
 from ..mechanics.forward import forward_of
 from ..whisker import Whisker
@@ -36,23 +33,6 @@ UNITS = {
 FARTHEST = 5.0
 
 
-class _Zeros(NamedTuple):
-    """Lines of contacts along which a signal is zero, from the lightest to the heaviest.
-
-    Their x₂ (m,); of each the x₁ between which it is, and y as a function of x₁ (see
-    `ContactCoordinates`), held at its ends beyond.
-    """
-
-    x: Array
-    ends: list[tuple[float, float]]
-    curves: list[CubicSpline]
-
-    def y(self, x: Array) -> Array:
-        """Of all lines (..., m) at x₁ (...)."""
-        pairs = zip(self.ends, self.curves, strict=True)
-        return np.stack([curve(np.clip(x, *ends)) for ends, curve in pairs], axis=-1)
-
-
 @dataclass(frozen=True, eq=False)
 class ContactCoordinates:
     """The bijection between the contacts open to an observer and x in ℝᵁ.
@@ -66,18 +46,11 @@ class ContactCoordinates:
     that r. Down low x₂ is ln M, up high it closes in on the fold or the tip double-exponentially.
     So the tails of posteriors are short, and the force map's ridge, along which M is constant, is
     straight. Any further unknown has a coordinate in which its prior is the standard normal.
-
-    Where a signal turns its sign within the reach (`zeros`: the axial force of a concave whisker or
-    of one that rubs towards the tip, the transverse force of heavy contacts), Weber noise goes to
-    zero along a line of contacts. There x₂ is y − y₀(r) and a constant, with y₀ that of the line,
-    so that the line is parallel to an axis; between two lines y is stretched in proportion.
-    Without `follows_zeros` it is as elsewhere.
     """
 
     whisker: Whisker
     cue: Cue
     prior: Mapping[str, Any]
-    follows_zeros: bool = True
     bounded: int = field(init=False)
     reach: tuple[float, float] = field(init=False)
     _from_normal: Mapping[str, Callable[[Array], Array]] = field(init=False, repr=False)
@@ -125,9 +98,8 @@ class ContactCoordinates:
         if self.bounded > 1:
             low_angle, width = self.angle_range(out[..., 0], out)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                start, slope = self._line(out[..., 0], width, x[..., 1])
-                fraction, log_slope = constrain_angle(start + slope * x[..., 1])
-                log_slope = log_slope + np.log(slope)
+                y = x[..., 1] - self._log_gain(out[..., 0], width)
+                fraction, log_slope = constrain_angle(y)
                 out[..., 1] = low_angle + width * fraction
                 if "deflection_angle" in self.prior:  # whose density may be infinite at an end
                     ends = np.nextafter(low_angle, np.pi), np.nextafter(low_angle + width, 0.0)
@@ -151,7 +123,7 @@ class ContactCoordinates:
             fraction = (contact[..., 1] - low_angle) / width
             # Rounding may put a contact that is all but at the fold upon it.
             fraction = np.where(fraction == 1, np.nextafter(1.0, 0.0), fraction)
-            out[..., 1] = self._from_y(contact[..., 0], width, unconstrain_angle(fraction))
+            out[..., 1] = unconstrain_angle(fraction) + self._log_gain(contact[..., 0], width)
         for i in range(self.bounded, contact.shape[-1]):
             out[..., i] = to_normal(self.prior[self.cue.unknowns[i]], contact[..., i])
         return out
@@ -166,14 +138,6 @@ class ContactCoordinates:
                 return to_normal(self.prior[self.cue.unknowns[unknown]], value)
             low, high = self.reach
             return unconstrain_distance(np.clip((value - low) / (high - low), 0.0, 1.0))
-
-    def angle_scale(self, r: Array, x: Array) -> tuple[float, Array, Array, Array]:
-        """At distances r (...): the lowest angle, the width of its range, and y = a + b·x₂ about x.
-
-        That is as far as the next lines on which a signal is zero.
-        """
-        low, width = self.angle_range(r)
-        return low, width, *self._line(r, width, x)
 
     def constrain_last(self, z: Array) -> Array:
         """The last unknown's values (...) at its coordinate z, where the whisker bounds it not."""
@@ -190,7 +154,7 @@ class ContactCoordinates:
         x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *further, indexing="ij")], axis=-1)
         if self.bounded > 1:
             r = self.distance(x[:, 0])
-            x[:, 1] = self._from_y(r, self.angle_range(r)[1], x[:, 1])
+            x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
         return x
 
     def prior_scores(self, contact: Array) -> Array:
@@ -252,109 +216,6 @@ class ContactCoordinates:
     def angle_range_varies(self) -> bool:
         """Whether the range of the deflection angle does."""
         return self.bounded > 1 and self.reach_varies
-
-    @cached_property
-    def plain(self) -> ContactCoordinates:
-        """The same with x₂ = y + ln(M/θ_d) everywhere."""
-        return self if self.zeros is None else replace(self, follows_zeros=False)
-
-    @cached_property
-    def zeros(self) -> _Zeros | None:
-        """Lines of contacts along which a signal is zero; None where there are none."""
-        known = len(self.cue.unknowns) == 2 or self.cue.is_scale
-        if not (self.follows_zeros and self.bounded > 1 and known):
-            return None
-        x = np.linspace(-4.0, 4.0, 401)
-        found = self._sign_changes(x)
-        curves: list[CubicSpline] = []
-        ends: list[tuple[float, float]] = []
-        for at, line in found:
-            # Where one leaves the range of angles it is held, lower than those above.
-            top = 3.0 - (len(found) - 1 - len(curves)) / 2
-            at, line = at[line < top], line[line < top]
-            if len(at) < 8:
-                continue
-            if at[-1] < x[-1] and line[-1] > 0:
-                at, line = np.append(at, at[-1] + x[1] - x[0]), np.append(line, top)
-            curves.append(CubicSpline(at, line))
-            ends.append((at[0], at[-1]))
-        if not curves:
-            return None
-        lines = _Zeros(np.zeros(len(curves)), ends, curves)
-        y = lines.y(x)
-        if np.any(np.diff(y, axis=-1) < 0.1):
-            return None  # a prior of the angle that has lines leave its range where others are
-        # As without them, in the middle: on a round number nodes of other grids would be, exactly.
-        r = self.distance(x)
-        first = np.median(y[:, 0] + self._log_gain(r, self.angle_range(r)[1]))
-        apart = np.median(np.diff(y, axis=-1), axis=0)
-        return lines._replace(x=first + np.append(0.0, np.cumsum(apart)))
-
-    def _sign_changes(self, x: Array) -> list[tuple[Array, Array]]:
-        """At coordinates x₁ (n,), where along y a signal changes its sign: x₁ and y of each line.
-
-        One line for each signal and direction, the lightest contacts first. A look at every
-        fifteenth x₁ spares observers without such lines most of the work.
-        """
-        y = np.linspace(-16.0, 3.0, 77)  # next to all of the prior
-        r = self.distance(x)
-        low, width = self.angle_range(r)
-
-        def signals(y: Array, rows: Any) -> Array:
-            contact = np.ones((*y.shape, len(self.cue.unknowns)))
-            contact[..., 0].T[:] = r[rows]
-            contact[..., 1] = low + (width[rows] * constrain_angle(y)[0].T).T
-            with np.errstate(all="ignore"):
-                return self.cue.signals(self.whisker, contact)[0]
-
-        for every in (15, 1):
-            rows = np.arange(0, len(x), every)
-            sign = np.sign(signals(np.tile(y, (len(rows), 1)), rows))
-            if not (sign[:, 1:] * sign[:, :-1] < 0).any():
-                return []
-        found = []
-        for which, turn in product(range(sign.shape[-1]), (-1.0, 1.0)):
-            step = (sign[:, :-1, which] == turn) & (sign[:, 1:, which] == -turn)
-            rows, at = np.flatnonzero(step.any(axis=1)), step.argmax(axis=1)
-
-            def signal(y: Array, row: Array, which: int = which) -> Array:
-                return signals(y, row.astype(np.intp))[..., which]
-
-            if len(rows) > 8:
-                around = y[at[rows]], y[at[rows] + 1]
-                root = find_root(signal, around, args=(rows.astype(float),))
-                found.append((x[rows][root.success], root.x[root.success]))
-        return sorted(found, key=lambda line: float(line[1][0]))  # they never cross
-
-    def _line(self, r: Array, width: Array, x: Array) -> tuple[Array, Array]:
-        """The y = a + b·x₂ at distances (...) and about coordinates x₂ (...)."""
-        if self.zeros is None:
-            return -self._log_gain(r, width), np.ones(())
-        y = self.zeros.y(self.unconstrain_one(r, 0))
-        place, slope, at = self._between_zeros(y, np.searchsorted(self.zeros.x, x))
-        return place - slope * at, slope
-
-    def _from_y(self, r: Array, width: Array, y: Array) -> Array:
-        """x₂ at distances and y (...)."""
-        if self.zeros is None:
-            return y + self._log_gain(r, width)
-        lines = self.zeros.y(self.unconstrain_one(r, 0))
-        place, slope, at = self._between_zeros(lines, (lines < y[..., None]).sum(axis=-1))
-        return at + (y - place) / slope
-
-    def _between_zeros(self, y: Array, passed: Index) -> tuple[Array, Array, Array]:
-        """The last line passed, or the first: its y, dy/dx₂ from there to the next, and its x₂."""
-        assert self.zeros is not None
-        last = np.maximum(passed - 1, 0)
-        following = np.where(passed > 0, np.minimum(passed, len(self.zeros.x) - 1), 0)
-        shape = np.broadcast_shapes(passed.shape, y.shape[:-1])
-        y = np.broadcast_to(y, (*shape, y.shape[-1]))
-        last, following = (np.broadcast_to(i, shape) for i in (last, following))
-        one, other = (np.take_along_axis(y, i[..., None], -1)[..., 0] for i in (last, following))
-        at = self.zeros.x[last]
-        with np.errstate(invalid="ignore"):
-            slope = (other - one) / (self.zeros.x[following] - at)
-        return one, np.where(following > last, slope, 1.0), at
 
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""

@@ -149,12 +149,13 @@ class Marginal:
 
     @cached_property
     def _scale(self) -> tuple[float, Array]:
-        """The lowest angle; of the tiles that there are `angle_scale` across, (t, ORDER, 3).
+        """The lowest angle; of the tiles that there are the scale of angles across, (t, ORDER, 3).
 
         As Legendre coefficients of the range's width and of what makes y of the coordinate.
         """
-        middle = (self._boxes.low[self._tiles, 1:2] + self._boxes.high[self._tiles, 1:2]) / 2
-        low, *scales = self.observer.space.angle_scale(self._distance[self._tiles], middle)
+        r = self._distance[self._tiles]
+        low, width = self.observer.space.angle_range(r)
+        scales = width, -self.observer.space._log_gain(r, width), np.ones(())
         across = _TO_LEGENDRE @ np.stack(np.broadcast_arrays(*scales), axis=-1)
         return low, np.asarray(across, dtype=np.float64)
 

@@ -370,7 +370,7 @@ def is_unidentified(observer: Observer, contact: Array) -> Flags:
         if np.isfinite(high - low):
             room = 1e-6 * (high - low)
             contact[:, i] = np.clip(contact[:, i], low + room, high - room)
-    space = observer.space.plain
+    space = observer.space
     slope = contact_slope(space, space.unconstrain(contact))
     told = observer.information(contact) + observer.prior_information(contact)
     information = np.swapaxes(slope, 1, 2) @ told @ slope

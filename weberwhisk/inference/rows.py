@@ -257,21 +257,16 @@ class _Across:
 
     Even steps of the coordinate miss bumps where signals hardly change with the angle but in a
     part of its range: ten touches 5 mm from the base were 4 sd off at k = 0.03. The trapezoid rule
-    asks that steps change smoothly. Where a signal passes through zero its noise does, and steps
-    are in proportion to how far off that is, down to `nearest`, about each zero of the row
-    (`ContactCoordinates.zeros`): of 1200 touches of concave and rubbing whiskers the worst is 8e-5
-    sd off, where about the first zero alone one of ten was up to 3.4.
+    asks that steps change smoothly.
     """
 
-    def __init__(
-        self, grid: TouchRows, *, nearest: float = 1e-3, samples: int = 129, fine: int = 4
-    ) -> None:
-        observer, self.nearest = grid.observer, nearest
+    def __init__(self, grid: TouchRows, *, samples: int = 129, fine: int = 4) -> None:
+        observer = grid.observer
         self.start, self.stop = unconstrain_angle(np.array([1e-6, 1 - 1e-8]))
-        zeros = observer.space.zeros
-        self.zero = np.empty((len(grid.r), 0)) if zeros is None else zeros.y(grid.x)
         #: Coordinates of each row at even shares of the way, and their slopes.
-        self.y, self.slope = self._placed(np.linspace(0.0, 1.0, fine * (samples - 1) + 1))
+        s = np.linspace(0.0, 1.0, fine * (samples - 1) + 1)
+        self.y = np.tile(self.start + (self.stop - self.start) * s, (len(grid.r), 1))
+        self.slope = np.full(self.y.shape, self.stop - self.start)
         s, y, slope = np.linspace(0.0, 1.0, samples), self.y[:, ::fine], self.slope[:, ::fine]
         contact, log_slope, _ = grid.contacts(grid.r, y)
         signals, outcome = observer.signals(contact)
@@ -281,8 +276,6 @@ class _Across:
             inner = observer.noise.fisher(np.nan_to_num(signals, nan=1.0))
             rate = np.sqrt(np.einsum("nsi,nsij,nsj->ns", rise, inner, rise))
         rate = np.nan_to_num(rate, nan=0.0, posinf=0.0)
-        if self.zero.size:  # at which the noise is nothing
-            rate = ndimage.median_filter(rate, (1, 5))
         rate = ndimage.maximum_filter1d(rate, 3, axis=1)
         # A third of an sd of the range itself, which is summed too.
         rate = np.hypot(rate, 3.0 * slope)
@@ -297,31 +290,6 @@ class _Across:
         part += h**2 / 12 * (turn[:, :-1] - turn[:, 1:])
         self.rise = np.column_stack([np.zeros(len(part)), np.cumsum(part, axis=1)])
         self.whole = self.rise[:, -1]
-
-    def _past(self, y: Array) -> tuple[Array, Array]:
-        """Σ asinh of how far coordinates (rows, n) are past the zeros of their rows; its slope."""
-        off = (y[..., None] - self.zero[:, None]) / self.nearest
-        return np.arcsinh(off).sum(axis=-1), (1 / np.hypot(1, off)).sum(axis=-1) / self.nearest
-
-    def _placed(self, s: Array) -> tuple[Array, Array]:
-        """Coordinates (rows, n) at even steps of `_past`, and their slopes."""
-        whole, count = self.stop - self.start, len(self.zero)
-        y = np.tile(self.start + whole * s, (count, 1))
-        if not self.zero.size:
-            return y, np.full(y.shape, whole)
-        low, high = (self._past(y[:, [i]])[0] for i in (0, -1))
-        past = low + (high - low) * s
-        # Newton's method from a table that is as close about each zero.
-        off = self.nearest * np.sinh(np.linspace(-1, 1, 257) * np.arcsinh(whole / self.nearest))
-        near = (self.zero[..., None] + off).reshape(count, -1)
-        near = np.sort(np.clip(near, self.start, self.stop), axis=1)
-        row = 2 * np.max(high - low) * np.arange(count)[:, None]
-        y = np.interp(past + row, (self._past(near)[0] + row).ravel(), near.ravel())
-        for _ in range(4):
-            value, slope = self._past(y)
-            y -= (value - past) / slope
-        y = np.clip(y, self.start, self.stop)
-        return y, (high - low) / self._past(y)[1]
 
     def __call__(self, rows: Index, count: Index) -> tuple[Array, Array]:
         """Coordinates of so many nodes in each of these rows, and ln of their steps."""

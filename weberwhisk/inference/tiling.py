@@ -296,7 +296,7 @@ def _split(boxes: Boxes, parts: Index) -> Boxes:
 @lru_cache(maxsize=64)
 def trunk(observer: Observer) -> Tiles:
     """The first boxes, of those whose prior is not nothing, and what is known at their nodes."""
-    dim, bounded, zeros = likelihood_of(observer).dim, observer.bounded, observer.space.zeros
+    dim, bounded = likelihood_of(observer).dim, observer.bounded
     steps = (0.5, 1.0) if dim == len(observer.unknowns) == 2 else (1.0, 1.5)
     r_edges = np.linspace(-4.0, 4.2, round(8.2 / steps[0]) + 1)
     if (leaps := observer.space.leaps.get("radial_distance")) is not None:
@@ -318,8 +318,6 @@ def trunk(observer: Observer) -> Tiles:
         first, last = (end[np.isfinite(end)] for end in ends)
         start, stop = first.min(), last.max()
         axes.append(np.linspace(start, stop, int(np.ceil((stop - start) / steps[1])) + 1))
-        if zeros is not None:
-            axes = [np.union1d(axes[0], np.ravel(zeros.ends)), np.union1d(axes[1], zeros.x)]
     axes += [np.linspace(-8.0, 8.0, 9 if dim == 2 else 3)] * (dim - bounded)
     corner = [
         np.stack(np.meshgrid(*side, indexing="ij"), axis=-1).reshape(-1, dim)

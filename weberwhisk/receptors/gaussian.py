@@ -216,6 +216,11 @@ class Weber(Proportional, Gaussian):
     ValueError
         For a Weber fraction that is not positive, a correlation outside −1 … 1.
 
+    Notes
+    -----
+    The law is of magnitudes (§3a): a signal of zero has no noise. Observers refuse it for signals
+    that change sign within the whisker's reach; see `inference.default_noise`.
+
     Examples
     --------
     >>> noise = Weber(0.1)
@@ -238,7 +243,8 @@ class GeneralisedWeber(Gaussian):
     weber_fraction : float or sequence of float
         k, one for all signals or one each. 0 leaves constant noise, natural for angles.
     floor : float or sequence of float
-        Receptor threshold noise σ₀, in the unit of each signal.
+        Receptor threshold noise σ₀, in the unit of each signal. One that changes sign within the
+        whisker's reach needs it; `inference.default_noise` has one.
     ceiling : float or sequence of float or None, optional
         Signal above which the receptor is saturated: it reports the ceiling, whatever the signal,
         and carries no information.

@@ -14,7 +14,6 @@ from .._values import Array, Flags, Index
 from .gaussian import Gaussian, Proportional, checked_correlation
 from .protocol import ReceptorNoise, Seed
 
-
 #: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
 _SIDE = 1e5
 
