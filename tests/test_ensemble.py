@@ -298,7 +298,7 @@ def test_what_passes_on_the_shelf_is_right(k: float) -> None:
     density, start, *sds = distance(k, 0.95, count=10, width=1.0, seed=12)
     fit = sample_stacked(
         density, start, seed=13, functions=lambda x: np.concatenate([x, special.expit(x)], axis=-1),
-        indexed=True,
+        indexed=True, max_steps=40_000,
     )  # fmt: skip
     assert fit.converged.mean() > (0.3 if k == 0.3 else 0.95)
     assert np.abs(fit.sd[fit.converged] / sds - 1).max() < 0.1
@@ -307,11 +307,11 @@ def test_what_passes_on_the_shelf_is_right(k: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("k", [0.2, 0.3, 0.4, 0.5])
 @pytest.mark.parametrize("of", ["x", "r"])
-def test_no_wrong_sd_passes_in_a_thousand(k: float, of: str) -> None:
-    density, start, sd_x, sd_r = distance(k, 0.95, count=1000, width=1.0, seed=10)
+def test_no_wrong_sd_passes_in_hundreds(k: float, of: str) -> None:
+    density, start, sd_x, sd_r = distance(k, 0.95, count=250, width=1.0, seed=10)
     functions = special.expit if of == "r" else None
     fit = sample_stacked(
-        density, start, seed=11, functions=functions, max_steps=100_000, indexed=True
+        density, start, seed=11, functions=functions, max_steps=30_000, indexed=True
     )
     exact = sd_r if of == "r" else sd_x
     wrong = np.abs(fit.sd[:, -1] / exact - 1) > 0.1
