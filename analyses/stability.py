@@ -93,8 +93,7 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
         effort = 1 if "emcee" in d.name or "population" in d.name else 2
         found.append((d, "fits of choices", "weber_fraction", "trials", effort))
     for d in stability_walkers.DOMAINS:
-        panel = "plain emcee" if d.name.startswith("plain") else "emcee, started badly"
-        found.append((d, panel, "distance", "k", 2))
+        found.append((d, "emcee, started badly", "distance", "k", 2))
     for method in ("quadrature", "laplace", "emcee"):
         for name in SAMPLED if method == "emcee" else stability_posteriors.OBSERVERS:
             two = name in TWO

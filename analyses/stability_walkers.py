@@ -1,26 +1,25 @@
-"""The part of `stability.py` that starts emcee's walkers badly, and takes its mixture away.
+"""The part of `stability.py` that starts emcee's walkers badly.
 
 A user cannot place walkers: here the engine's own start is replaced by one ball, as small and as
-far off as the hunt likes, for all ensembles, so that they agree with each other. Plain emcee is the
-engine without the mixture's proposals, by stretch and differential evolution alone. Whatever they
-say they have converged on is held against the same sums as any posterior.
+far off as the search likes, for all ensembles, so that they agree with each other. Whatever they
+say they have converged on is compared with the same sums as any posterior.
 
-Of several peaks plain emcee knows the one in whose reach all its ensembles start, and nothing it
-can measure says that there is a higher one: that is what the mixture is for, with which it is
-tried, and plain emcee is not.
+Of several peaks walkers find those in whose reach the ensembles start. With one unknown the engine
+compares them with quadrature where the mass lies apart; with more nothing it can measure says that
+there is a higher peak, and it is not tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import stability_posteriors as posteriors
 from hunting import Axis, Domain, Fate, Judged
 
 from weberwhisk.inference import emcee
-from weberwhisk.inference.moves import default_moves, recommended_walkers
 
 Array = np.ndarray
 Case = dict[str, Array]
@@ -37,38 +36,30 @@ BAD_START = {
     "width": Axis(1e-6, 3.0, log=True),
 }
 
-#: Steps that plain emcee is given: one unknown, and more. It seldom needs more, and seconds if so.
-PLAIN_STEPS = (3000, 2000)
-
 
 @contextmanager
-def changed(start: Array | None, width: float, *, plain: bool) -> Iterator[None]:
-    """The engine with another start, and without its mixture where it is plain."""
-    own = emcee._start, emcee._moves, emcee.MOST_STEPS, emcee.STAGES
+def started_at(place: Array | None, width: float) -> Iterator[None]:
+    """The engine with walkers in a ball, if one is given."""
+    own = emcee._start
 
-    def ball(density, mixture, mode, rng):
-        count, dim = mode.shape
-        shape = (count, 4, recommended_walkers(dim), dim)
-        return start[:dim] + width * rng.standard_normal(shape)
+    def ball(observer, reading, density, rng):
+        start, mode = own(observer, reading, density, rng)
+        return place[: mode.shape[1]] + width * rng.standard_normal(start.shape), mode
 
     try:
-        if start is not None:
-            emcee._start = ball
-        if plain:
-            emcee._moves = lambda mixture, dim, share: default_moves(dim)
-            emcee.MOST_STEPS, emcee.STAGES = PLAIN_STEPS, ()
+        emcee._start = own if place is None else ball
         yield
     finally:
-        emcee._start, emcee._moves, emcee.MOST_STEPS, emcee.STAGES = own
+        emcee._start = own
 
 
-def judge(case: Case, name: str, *, plain: bool) -> Judged:
+def judge(case: Case, name: str) -> Judged:
     """Each case by itself, as each has a start of its own."""
     judged = []
     for i in range(case["k"].size):
         one = {key: value[i : i + 1] for key, value in case.items()}
         start = np.array([one["start"][0], one["start_2"][0]]) if "start" in case else None
-        with changed(start, float(one.get("width", [0.0])[0]), plain=plain):
+        with started_at(start, float(one.get("width", [0.0])[0])):
             try:
                 judged.append(posteriors.judge(one, name, "emcee"))
             except ValueError as error:
@@ -82,21 +73,12 @@ def judge(case: Case, name: str, *, plain: bool) -> Judged:
                   seen)  # fmt: skip
 
 
-def _judge(name: str, *, plain: bool) -> Callable[[Case], Judged]:
-    return lambda case: judge(case, name, plain=plain)
-
-
 DOMAINS = [
-    Domain("emcee, k ≥ 0.3 near the tip", NEAR_TIP, _judge("compliance", plain=False)),
-    Domain("plain emcee, k ≥ 0.3 near the tip", NEAR_TIP, _judge("compliance", plain=True)),
+    Domain("emcee, k ≥ 0.3 near the tip", NEAR_TIP, partial(judge, name="compliance")),
     *(
         Domain(
-            f"{'plain ' * plain}emcee started badly, {name}",
-            posteriors.AXES | BAD_START,
-            _judge(name, plain=plain),
+            f"emcee started badly, {name}", posteriors.AXES | BAD_START, partial(judge, name=name)
         )
-        for plain in (False, True)
         for name in ("compliance", "vibration, phase", "force map")
-        if not plain or name != "vibration, phase"
     ),
 ]

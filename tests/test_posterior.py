@@ -151,7 +151,7 @@ def test_quadrature_in_two_dimensions_reaches_1e_4(k, fraction, degrees):
 @pytest.mark.parametrize("k", [0.02, 0.1, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_emcee_agrees_with_quadrature_within_its_own_error(k):
     observer = ww.Observer(W, Compliance(), Weber(k))
-    r = np.random.default_rng(8).uniform(0.1, 0.97, (24, 1)) * W.length
+    r = np.random.default_rng(8).uniform(0.1, 0.97, (96, 1)) * W.length
     readings = observer.read(r, seed=1)
     exact = ww.posterior(observer, readings)
     p = ww.posterior(observer, readings, "emcee", seed=2)
@@ -181,7 +181,7 @@ def test_emcee_agrees_in_two_dimensions():
 @pytest.mark.slow
 @pytest.mark.parametrize("k", [0.3, 0.5])
 def test_emcee_never_calls_a_wrong_sd_converged_on_the_heavy_shelf(k):
-    """k ≥ 0.3 near the tip: a shelf towards small r, where plain emcee is silently wrong.
+    """k ≥ 0.3 near the tip: a shelf towards small r, where short runs are wrong.
 
     The "shelf" of `test_emcee_hard_cases` is that at 0.3; `test_ensemble` has hundreds of such runs
     on a signal that costs nothing.

@@ -14,7 +14,6 @@ from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, si
 from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
-from weberwhisk.inference import emcee
 
 
 def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,19 +25,6 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -
         found.append(ww.posterior(observer, readings))
     for name in ("mean", "sd", "log_evidence"):
         np.testing.assert_array_equal(*(getattr(p, name) for p in found))
-
-
-def test_nor_does_it_change_one_of_emcee(monkeypatch: pytest.MonkeyPatch) -> None:
-    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
-    readings = observer.read(np.linspace(15e-3, 40e-3, 12)[:, None], seed=1)
-    monkeypatch.setitem(emcee.sample.__kwdefaults__, "stacked", 4)
-    found = []
-    for count in (1, 3):
-        monkeypatch.setattr(threads, "thread_count", lambda count=count: count)
-        found.append(ww.posterior(observer, readings, method="emcee", seed=2))
-    for name in ("mean", "sd", "mean_error"):
-        np.testing.assert_array_equal(*(getattr(p, name) for p in found))
-    assert np.abs(found[0].mean - ww.posterior(observer, readings).mean).max() < 1e-3
 
 
 def test_cores_and_who_may_use_them(monkeypatch: pytest.MonkeyPatch) -> None:

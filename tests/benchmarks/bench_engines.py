@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from weberwhisk.inference.emcee import WALKERS
 from weberwhisk.inference.ensemble import sample_stacked
 from weberwhisk.inference.grid import integrate
-from weberwhisk.inference.moves import recommended_walkers
 
 Array = NDArray[np.float64]
 K = 0.1
@@ -97,7 +97,7 @@ def bench_plain_emcee() -> None:
 def bench_stacked_1d(count: int = 1000) -> None:
     r0 = np.linspace(0.2, 0.9, count)
     density = distance_density(r0)
-    scatter = K * np.random.default_rng(1).normal(size=(count, 4, recommended_walkers(1), 1))
+    scatter = K * np.random.default_rng(1).normal(size=(count, 4, WALKERS, 1))
     start = special.logit(r0)[:, None, None, None] + scatter
     fit, seconds = timed(lambda: sample_stacked(density, start, seed=1, indexed=True))
     error = np.sqrt(np.mean((fit.sd / exact_sd(density, r0) - 1) ** 2))
@@ -109,7 +109,7 @@ def bench_stacked_1d(count: int = 1000) -> None:
 
 def bench_stacked_2d(count: int = 500) -> None:
     density, price = pair_density(0.6e-6)
-    start = np.random.default_rng(2).normal(size=(count, 4, recommended_walkers(2), 2))
+    start = np.random.default_rng(2).normal(size=(count, 4, WALKERS, 2))
     fit, seconds = timed(
         lambda: sample_stacked(density, start, seed=1, precision=0.03, indexed=True), repeats=2
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 from warnings import warn
 
@@ -42,7 +42,6 @@ def posterior(
     *,
     seed: Seed = None,
     tolerance: float | None = None,
-    moves: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:
     """The posterior of a contact given readings of its signals.
@@ -54,20 +53,15 @@ def posterior(
         One reading or many: the cue's signals in SI units (with one signal also () or (B,)).
     method : {"quadrature", "emcee", "laplace"}
         Quadrature is the reference: exact to about 1e-10 in one dimension, to `tolerance` in two.
-        emcee samples thousands of posteriors stacked in one run. Laplace is the Gaussian at the
-        mode, and says where that will not do. An unknown that shares no signal with the others
-        (`SpaceMap`'s azimuth) is integrated by itself, whatever the method.
+        emcee samples many posteriors stacked in one run, and owes nothing to quadrature, which it
+        can so check. Laplace is the Gaussian at the mode, and says where that will not do. An
+        unknown that shares no signal with the others (`SpaceMap`'s azimuth) is integrated by
+        itself, whatever the method.
     seed : int, SeedSequence or Generator
         Of emcee's walkers; NumPy's global state is neither read nor changed.
     tolerance : float, optional
         Error of mean and sd asked for, over the sd. Default 1e-6 (quadrature in one dimension),
         1e-2 (in two; 1e-4 at some five times the cost), 2 % and 3 % (emcee).
-    moves : {"independent", "grid"}, optional
-        Of emcee. The default owes nothing to quadrature, which it can so check: differential
-        evolution and stretches inside each ensemble, and draws from a mixture of Student's t that
-        starts from a scatter of the prior with the Fisher information, and learns from draws.
-        ``"grid"`` lets the mixture learn from quadrature's draws instead: two to three times as
-        quick with two unknowns, and no check of quadrature.
     progress : callable, optional
         Called with (posteriors done, posteriors in all).
 
@@ -100,10 +94,6 @@ def posterior(
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
     solve = _solver(method)
-    if moves is not None:
-        if method != "emcee":
-            raise ValueError(f'moves are of emcee, got {moves!r}; write method="emcee".')
-        solve = partial(solve, moves=moves)
     _keep_memory()
 
     given = np.isfinite(rows).all(axis=1)
