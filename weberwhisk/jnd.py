@@ -23,10 +23,10 @@ from ._checks import generator, whole
 from ._values import Array, Flags, pd, renamed_arguments, with_units
 from .cues import Fused
 from .cues.protocol import Cue
-from .inference import posterior
 from .inference.coordinates import UNITS
-from .inference.grid import integrate, prior_box
 from .inference.observer import Observer
+from .inference.quadrature import sums_of
+from .inference.weighted import density_of_distance
 from .mechanics.contact import Outcome
 from .receptors import ReceptorNoise, Seed
 
@@ -366,27 +366,12 @@ def information(observer: Observer, *, n_readings: int = 400, seed: Seed = None)
     )
     contact = prior_draws(observer, n_readings, contact_seed)
     reading = observer.read(contact, reading_seed)
-    p = posterior(observer, reading)
-    x = observer.coordinates(contact)
-    step = np.zeros(x.shape[1])
-    step[0] = 1e-5
-    slope = np.diff([observer.contact(x + s * step)[0][:, 0] for s in (-1, 1)], axis=0)[0] / 2e-5
-    gained = _log_density_at(observer, x, reading) - p.log_evidence - np.log(slope)
-    gained = (gained - DistancePrior(observer).logpdf(contact[:, 0])) / np.log(2)
+    r = contact[:, 0]
+    with np.errstate(divide="ignore"):  # where a reading excludes its contact, next to never
+        gained = np.log(density_of_distance(sums_of(observer, reading), r))
+    gained = np.maximum(gained, gained[np.isfinite(gained)].min())
+    gained = (gained - DistancePrior(observer).logpdf(r)) / np.log(2)
     return Bits(float(gained.mean()), float(gained.std(ddof=1) / np.sqrt(n_readings)))
-
-
-def _log_density_at(observer: Observer, x: Array, reading: Array) -> Array:
-    """ln of the density at the first coordinate of x (B, U), the others integrated out, (B,)."""
-    if x.shape[1] == 1:
-        return observer.log_density(x, reading)
-
-    def density(others: Array, index: Any) -> Array:
-        first = np.broadcast_to(x[index, None, :1], (*others.shape[:-1], 1))
-        return observer.log_density(np.concatenate([first, others], axis=-1), reading[index, None])
-
-    low, high = (np.tile(side[1:], (len(x), 1)) for side in prior_box(observer))
-    return integrate(density, low, high).log_evidence
 
 
 def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:

@@ -14,10 +14,8 @@ from .._checks import finite
 from .._values import Array, Flags
 from ..mechanics.contact import Outcome
 from ..receptors import Seed
-from ..threads import on_threads
 from .coordinates import FARTHEST
 from .observer import Observer
-from .panels import panels_of
 from .result import (
     Estimate,
     Solution,
@@ -27,6 +25,8 @@ from .result import (
     is_unidentified,
     refuse_impossible,
 )
+from .tree import tree_of
+from .weighted import interpolate
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Mode:
 def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -> Mode:
     """The highest points of the posteriors of readings (B, S), or those above starts (B, U).
 
-    From the best point of a coarse grid; with one unknown from the best of the panels, between
+    From the best point of a coarse grid; with one unknown from the best cell of its tree, between
     which no peak is lost: a signature (§2d) may have more peaks, and narrower ones, than any fixed
     grid has places.
     """
@@ -73,19 +73,18 @@ def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -
 def _starting_points(observer: Observer, reading: Array) -> Array:
     """Where `find_mode` starts, (B, U)."""
     if len(observer.unknowns) == 1:
-        places = panels_of(observer).middles
-    else:
-        places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
+        found = tree_of(observer, 2e-3).sums(reading)
+        refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
+        return observer.coordinates(found.best)
+    places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
     density = density_at(observer, places)
     best = np.zeros(len(reading), dtype=np.intp)
 
-    def part(start: int) -> None:
+    for start in range(0, len(reading), 256):
         rows = slice(start, start + 256)
         table = density(reading[rows])
         best[rows] = table.argmax(axis=1)
         refuse_impossible(reading[rows], table.max(axis=1))
-
-    list(on_threads(part, range(0, len(reading), 256)))
     return places[best]
 
 
@@ -288,17 +287,18 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     if not 0 < share < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {share:g}; write 0.95, say.")
     y = observer.checked_reading(reading)
-    panels = panels_of(observer)
-    r, log_weight = panels.r.reshape(-1), panels.log_weight.reshape(-1)
-    signals = np.nan_to_num(observer.signals(r[:, None])[0], nan=1.0)  # of no weight where not held
-    prior = observer.prior.get("radial_distance")
-    log_prior = 0.0 if prior is None else prior.logpdf(r)
-    counts = []
-    for row in y.reshape(-1, y.shape[-1]):
-        log = observer.noise.log_likelihood(row, signals)
-        weight = np.exp(log + log_weight - (log + log_weight).max())
-        counts.append(_count(log + log_prior, weight / weight.sum(), share))
-    return np.array(counts) if y.ndim > 1 else counts[0]
+    rows = y.reshape(-1, y.shape[-1])
+    # Down to a billionth of a billionth of the highest density.
+    found = tree_of(observer, 2e-3).sums(rows, drop=41.0)
+    counts = np.zeros(len(rows), dtype=int)
+    for at, start, step, log in found.marginals():
+        x, fine = interpolate(log, 8)
+        place = start[:, None] + step * x
+        log_slope = observer.space.constrain(place[..., None])[1]
+        for row, density, slope in zip(at, fine, log_slope, strict=True):
+            weight = np.exp(density - density.max())
+            counts[row] = _count(density - slope, weight / weight.sum(), share)
+    return counts if y.ndim > 1 else counts[0]
 
 
 def is_divided(observer: Observer, reading: Array) -> Flags:

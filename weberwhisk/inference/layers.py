@@ -21,13 +21,13 @@ from .._values import Array, Flags, Index
 from .coordinates import from_normal, is_all_around
 from .observer import Evaluated, Observer, evaluated
 from .tree import DROP, tree_of
-from .weighted import OVER, Draws, Spans, Sums, interpolate
+from .weighted import OVER, Draws, Spans, Sums, extrapolated, interpolate
 
 #: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
 HALVINGS = 6
 FIRST, FARTHEST, TURN = 1.2, 4, 16
 #: Normal scores at which conditional quantiles are interpolated from node to node.
-SCORES = np.linspace(-4.8, 4.8, 49)
+SCORES = np.linspace(-4.5, 4.5, 37)
 #: Parts of a step between nodes at which conditional posteriors are interpolated.
 PARTS = 8
 
@@ -46,13 +46,15 @@ class Conditional:
         self.observer, self.further = observer, further
         self.unknowns, self.noise = observer.unknowns[: observer.bounded], observer.noise
         self.space = observer.space
+        self._hash = hash((observer, further))
 
     def __eq__(self, other: object) -> bool:
-        own = self.observer, self.further
-        return isinstance(other, Conditional) and own == (other.observer, other.further)
+        if not isinstance(other, Conditional) or self.further != other.further:
+            return False
+        return self.observer is other.observer or self.observer == other.observer
 
     def __hash__(self) -> int:
-        return hash((self.observer, self.further))
+        return self._hash
 
     def evaluate(self, x: Array) -> Evaluated:
         """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
@@ -151,9 +153,13 @@ class Axis:
 
 @dataclass(eq=False)
 class _Node:
-    """What is known at one node of all layers: of each reading ln of the evidence and moments."""
+    """What is known at one node of all layers: of each reading ln of the evidence and moments.
+
+    Of readings that have next to no mass there, ln of the evidence is a guess alone.
+    """
 
     log: Array
+    guess: Array
     mean: Array
     sd: Array
     error: Array
@@ -204,6 +210,7 @@ class LayeredSums:
         self.error, self.log_evidence = np.full(count, np.inf), np.full(count, np.nan)
         self.halvings = np.zeros((count, len(self.axes)), dtype=int)
         self.nodes: dict[tuple[int, ...], _Node] = {}
+        self._conditionals: dict[tuple[tuple[int, ...], int], Array] = {}
 
     def solve(self) -> None:
         """Halve nodes until sums over odd and even ones agree."""
@@ -233,34 +240,37 @@ class LayeredSums:
     def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
         """Ask the trees of all nodes that may have mass."""
         every = list(product(*map(np.ndarray.tolist, keys)))
-        new = [key for key in every if key not in self.nodes]
         count, inner = len(self.readings), self.observer.bounded
         bound = self._bound(keys, rows, *before) if before else None
         for key in every:
             if key not in self.nodes:
                 self.nodes[key] = _Node(
-                    np.full(count, np.nan), np.zeros((count, inner)), np.zeros((count, inner)),
-                    np.zeros(count),
+                    np.full(count, np.nan), np.full(count, -1e5), np.zeros((count, inner)),
+                    np.zeros((count, inner)), np.zeros(count),
                 )  # fmt: skip
             node = self.nodes[key]
             wanted = np.isnan(node.log[rows])
             if bound is not None and key in bound:
-                hopeless = wanted & bound[key]
-                node.log[rows[hopeless]] = -np.inf
-                wanted &= ~hopeless
+                without, guess = bound[key]
+                without = wanted & without
+                node.log[rows[without]] = -np.inf
+                node.guess[rows[without]] = guess[without]
+                wanted &= ~without
             if wanted.any():
                 self._ask(node, key, rows[wanted])
 
     def _bound(
         self, keys: list[Index], rows: Index, halvings: Index, before: Index
-    ) -> dict[tuple[int, ...], Flags]:
-        """New nodes that have next to no mass, by those of twice the step, for each reading.
+    ) -> dict[tuple[int, ...], tuple[Flags, Array]]:
+        """Whether new nodes have next to no mass, by those of twice the step, for each reading.
+
+        And the mean ln of the evidence of those.
 
         Between nodes ln of the evidence may be higher than at them by an eighth of its second
         difference, as a parabola is; twice that is allowed for.
         """
         old = self._keys(halvings)
-        log = np.maximum(np.nan_to_num(self._table(old, rows, "log"), nan=-np.inf), -1e5)
+        log = self._table(old, rows, "guess")
         rise = np.zeros_like(log)
         for d, axis in enumerate(self.axes):
             if axis.around:
@@ -284,7 +294,9 @@ class LayeredSums:
                 after = (i + 1) % len(o) if axis.around else i + 1
                 near.append([i, after])
             if any(len(n) > 1 for n in near):
-                out[key] = ~np.any([possible[i] for i in product(*near)], axis=0)
+                beside = list(product(*near))
+                without = ~np.any([possible[i] for i in beside], axis=0)
+                out[key] = without, np.mean([log[i] for i in beside], axis=0)
         return out
 
     def _ask(self, node: _Node, key: tuple[int, ...], rows: Index) -> None:
@@ -296,13 +308,14 @@ class LayeredSums:
         found = self.layers.tree(key).sums(readings, covariance, drop=self.drop)
         known = np.isfinite(found.log_evidence)
         node.log[rows] = np.where(known, found.log_evidence + slope, -np.inf)
+        node.guess[rows] = np.maximum(node.log[rows], -1e5)
         node.mean[rows], node.sd[rows] = np.nan_to_num(found.mean), np.nan_to_num(found.sd)
         node.error[rows] = np.where(known, found.error, 0.0)
         node.parts.append((rows, found))
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; by how much odd and even ones along each axis differ, (D, n)."""
-        shape, inner = tuple(map(len, keys)), self.observer.bounded
+        inner = self.observer.bounded
         log = self._table(keys, rows, "log").reshape(-1, len(rows))
         mean, sd = (self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd"))
         top = log.max(axis=0)
@@ -395,12 +408,11 @@ class LayeredSums:
         return tuple(out)
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
-        """Spans of an unknown, for one reading at a time."""
+        """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
         inner = self.observer.bounded
-        scores = SCORES[::stride]
-        tables: dict[tuple[int, ...], Array] = {}
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
             keys, log = self._box(int(row))
+            at = np.array([row])
             if unknown >= inner:
                 d = unknown - inner
                 other = tuple(i for i in range(log.ndim) if i != d)
@@ -408,38 +420,36 @@ class LayeredSums:
                 x, fine = interpolate(along[None], 2 * PARTS // stride)
                 step = keys[d][1] - keys[d][0]
                 value = self.axes[d].value(keys[d][0] + step * x)
-                density = np.exp(fine[0] - fine[0].max())
-                mass = (density[1:] + density[:-1])[None] / 2
-                yield Spans(np.array([row]), value[None, :-1], value[None, 1:], mass)
+                density = np.exp(fine - fine.max())
+                mass = (density[:, 1:] + density[:, :-1]) / 2
+                yield Spans(at, value[None, :-1], value[None, 1:], mass)
                 continue
             held = log > log.max() - self.drop
-            quantile = np.full((*log.shape, len(scores)), np.nan)
+            quantile = np.full((*log.shape, len(SCORES)), np.nan)
             for i in zip(*np.nonzero(held), strict=True):
-                key = self._wrapped(tuple(k[j] for k, j in zip(keys, i, strict=True)))
-                quantile[i] = self._conditional(tables, key, int(row), unknown, scores)
+                key = self._wrapped(tuple(int(k[j]) for k, j in zip(keys, i, strict=True)))
+                quantile[i] = self._conditional(key, unknown)[row]
             held &= np.isfinite(quantile[..., 0])
-            yield _mixed(np.array([row]), log, held, quantile, scores, PARTS // stride)
+            yield _mixed(at, log, held, quantile[..., ::stride], SCORES[::stride], PARTS // stride)
 
-    def _conditional(
-        self, tables: dict[tuple[int, ...], Array], key: tuple[int, ...], row: int, unknown: int,
-        scores: Array,
-    ) -> Array:  # fmt: skip
-        """Quantiles at a node, of one reading; all that have mass there are worked out at once."""
-        if key not in tables:
+    def _conditional(self, key: tuple[int, ...], unknown: int) -> Array:
+        """Quantiles (B, Q) at a node, of the readings that have mass there."""
+        if (key, unknown) not in self._conditionals:
             node = self.nodes[key]
-            tables[key] = np.full((len(self.readings), len(scores)), np.nan)
+            table = np.full((len(self.readings), len(SCORES)), np.nan)
             for rows, found in node.parts:
                 wanted = node.log[rows] > self.log_evidence[rows] - self.drop
-                tables[key][rows] = found.quantiles(ndtr(scores), unknown, wanted)
-        return tables[key][row]
+                if wanted.any():
+                    table[rows] = found.quantiles(ndtr(SCORES), unknown, wanted)
+            self._conditionals[key, unknown] = table
+        return self._conditionals[key, unknown]
 
     def quantiles(self, p: Array, unknown: int) -> Array:
         """Quantiles (B, Q) of an unknown."""
         return extrapolated(self, p, unknown)
 
-    def draws(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws (B, count, U) of the contact."""
-        inner = self.observer.bounded
+    def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
+        """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((len(self.readings), count, len(self.observer.unknowns)), np.nan)
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
             keys, log = self._box(int(row))
@@ -478,15 +488,6 @@ class LayeredSums:
         out = np.tile(reading, (len(contact), 1))
         out[:, turning] -= 2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
         return out
-
-
-def extrapolated(sums: Any, p: Array, unknown: int) -> Array:
-    """Quantiles (B, Q) by spans, and by half as many, with their error of second order removed."""
-    out = np.full((len(sums.error), len(p)), np.nan)
-    for fine, coarse in zip(sums.spans(unknown), sums.spans(unknown, 2), strict=True):
-        value = fine.quantiles(p)
-        out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
-    return out
 
 
 def _mixed(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 from warnings import warn
 
 import numpy as np
@@ -12,27 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import kind, one_of, positive_number
-from .._values import Array, Flags, Index, member
-from ..receptors import ReceptorNoise, Seed
-from .coordinates import family, from_normal
-from .grid import integrate
+from .._values import Array, Flags, member
+from ..receptors import Seed
 from .laplace import laplace
 from .observer import Observer
 from .quadrature import quadrature
-from .result import Estimate, Posterior, Solution, Status, beyond_reach, is_outside
+from .result import Estimate, Posterior, Solution, Status, beyond_reach
 
 __all__ = ["Estimate", "Posterior", "Status", "posterior"]
-
-
-@cache
-def _keep_memory() -> None:
-    """Let freed arrays be used again instead of handing them back to the kernel.
-
-    The C library returns each freed block that is larger than any it has seen freed before; the
-    kernel clears it afresh for the next array, at more than the cost of the arithmetic (a factor
-    of 2 to 4 in quadrature in one dimension). One block of 16 MB, never touched, raises that bar.
-    """
-    np.empty(1 << 21)
 
 
 def posterior(
@@ -52,7 +38,7 @@ def posterior(
     reading : array, shape (S,) or (B, S)
         One reading or many: the cue's signals in SI units (with one signal also () or (B,)).
     method : {"quadrature", "emcee", "laplace"}
-        Quadrature is the reference: exact to about 1e-10 in one dimension, to `tolerance` in two.
+        Quadrature is the reference, exact to `tolerance`.
         emcee samples many posteriors stacked in one run, and owes nothing to quadrature, which it
         can so check. Laplace is the Gaussian at the mode, and says where that will not do. An
         unknown that shares no signal with the others (`SpaceMap`'s azimuth) is integrated by
@@ -94,7 +80,6 @@ def posterior(
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
     solve = _solver(method)
-    _keep_memory()
 
     given = np.isfinite(rows).all(axis=1)
     nothing = _of_no_contact(observer, rows)
@@ -102,14 +87,7 @@ def posterior(
     if not known.any():
         solution = _of_nothing(len(observer.unknowns))
     else:
-        inner, told, apart = observer, rows[known], []
-        while (factors := factors_of(inner)) is not None:
-            size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
-            apart.append((inner, factors, told[:, size:]))
-            inner, told = factors.first, told[:, :size]
-        solution = solve(inner, told, seed, tolerance, progress)
-        for whole, factors, own in reversed(apart):
-            solution = with_factor(solution, whole, factors, own)
+        solution = solve(observer, rows[known], seed, tolerance, progress)
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -122,7 +100,7 @@ def posterior(
     return Posterior(
         observer,
         y,
-        method + _who(solution),
+        method,
         {
             name: Estimate(*map(shaped, estimate))
             for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
@@ -144,14 +122,6 @@ def _solver(method: str) -> Any:
 
         return sample
     return laplace
-
-
-def _who(solution: Solution) -> str:
-    """What is to be added to the method's name: whether readings were summed by themselves."""
-    own = solution.own_grid
-    if own is None or not own.any():
-        return ""
-    return ", own grid" if own.all() else f", {own.sum()} of {len(own)} on own grids"
 
 
 def _of_no_contact(observer: Observer, reading: Array) -> Flags:
@@ -207,110 +177,4 @@ def _of_nothing(unknowns: int) -> Solution:
         none,
         lambda p, unknown: np.empty((0, len(p))),
         lambda count, seed: np.empty((0, 4, count, unknowns)),
-    )
-
-
-# -- an unknown that stands by itself --------------------------------------------------------------
-
-
-class Factors(NamedTuple):
-    """An observer of all unknowns but one, where that is, and the noise of the signals left to it.
-
-    An unknown that shares no signal with the others stands by itself: the azimuth of a contact in
-    space is told by the directions of moment and force, which tell of nothing else. The posterior
-    is a product, and two unknowns and one cost less than three. The roll of a straight whisker is
-    told by no signal at all, and is as its prior has it.
-    """
-
-    first: Observer
-    place: int
-    noise: ReceptorNoise | None
-    signals: int
-
-
-def factors_of(observer: Observer) -> Factors | None:
-    """The factors of the posterior, if it is a product."""
-    cue = getattr(observer.cue, "all_but_one", None)
-    if cue is None or not observer.forward.is_flat:
-        return None
-    own, size = len(cue.signal_names), len(observer.cue.signal_names)
-    noise = observer.noise.part(size, 0, own)
-    rest = observer.noise.part(size, own, size) if own < size else None
-    if noise is None or (rest is None and own < size):
-        return None  # the noise of some signals of either kind is one
-    prior = {name: observer.prior[name] for name in cue.unknowns if name in observer.prior}
-    first = Observer(observer.whisker, cue, noise, prior, model=observer.model)
-    place = next(i for i, name in enumerate(observer.unknowns) if name not in cue.unknowns)
-    return Factors(first, place, rest, size - own)
-
-
-def with_factor(first: Solution, observer: Observer, factors: Factors, own: Array) -> Solution:
-    """The posteriors of all unknowns, from those of all but one; `own` (B, R) tells of that.
-
-    Of two faults the first factor's is said. An azimuth that may be any has no ends: that of a
-    reading beyond a quarter turn is summed about half a turn on, and may so come out beyond π.
-    """
-    place, half = factors.place, np.zeros(len(own))
-    name = observer.unknowns[place]
-    value_at = from_normal(observer.prior[name])
-    usual = observer.cue.priors(observer.whisker)[name]
-    if name == "azimuth" and family(observer.prior[name]) == family(usual):
-        half = np.pi * np.round(own[:, 0] / np.pi)
-        own = own - half[:, None]
-
-    def density(x: Array, index: Index) -> Array:
-        value = value_at(x[..., 0])
-        log = np.zeros(value.shape)
-        if factors.noise is not None:
-            signals = np.repeat(value[..., None], factors.signals, axis=-1)
-            log = factors.noise.log_likelihood(own[index, None], signals)
-        return np.asarray(log - 0.5 * (x[..., 0] ** 2 + np.log(2 * np.pi)))
-
-    ends = np.full((len(own), 1), 8.0)
-    found = integrate(density, -ends, ends, functions=value_at)
-    value = value_at(found.points)[..., 0]
-    rise = np.cumsum(found.weights, axis=1) - found.weights / 2
-    best = np.take_along_axis(value, found.weights.argmax(axis=1)[:, None], axis=1)
-    status = np.where(found.error[:, 0] < 1e-2, Status.CONVERGED, Status.IMPRECISE)
-    signals = np.repeat(best, factors.signals, axis=-1)
-    if factors.noise is not None:
-        status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
-    value = value + half[:, None]
-    mean, sd, error = found.mean[:, 0] + half, found.sd[:, 0], found.error[:, 0]
-
-    def at(probability: Array) -> Array:
-        """Values (B, Q) at probabilities (B, Q)."""
-        pairs = zip(probability, rise, value, strict=True)
-        return np.stack([np.interp(p, up, v) for p, up, v in pairs])
-
-    def quantile_of(p: Array, unknown: int) -> Array:
-        if unknown != place:
-            return first.quantile_of(p, unknown - (unknown > place))
-        return at(np.broadcast_to(p, (len(own), len(p))))
-
-    def quantile_error_of(p: Array, unknown: int) -> Array:
-        if unknown != place:
-            known, other = first.quantile_error_of, unknown - (unknown > place)
-            return np.full((len(own), len(p)), np.nan) if known is None else known(p, other)
-        # Straight lines between nodes of a tenth of the sd miss less than a hundredth of it.
-        return np.asarray(sd[:, None] * (0.01 + error[:, None] / (4 * p * (1 - p))))
-
-    def draws_of(count: int, seed: Seed) -> Array:
-        rng = np.random.default_rng(seed)
-        draws = first.draws_of(count, rng)
-        chains, kept = draws.shape[1:3]
-        strata = np.arange(chains * kept) + rng.random((len(own), chains * kept))
-        lone = at(rng.permuted(strata / (chains * kept), axis=1))
-        return np.insert(draws, place, lone.reshape(len(own), chains, kept), axis=-1)
-
-    estimates = list(first.estimates)
-    estimates.insert(place, Estimate(mean, sd, error * sd, error * sd))
-    return Solution(
-        estimates,
-        np.where(first.status == Status.CONVERGED, status, first.status).astype(np.int8),
-        first.log_evidence + found.log_evidence,
-        quantile_of,
-        draws_of,
-        quantile_error_of,
-        first.own_grid,
     )

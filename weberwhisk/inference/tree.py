@@ -570,11 +570,9 @@ def tree_of(observer: TreeObserver, tolerance: float) -> Tree:
     """The tree of an observer, kept for the next reading; the least used go first."""
     key = observer, tolerance
     if key not in _kept:
+        total = sum(tree.bytes for tree in _kept.values())
+        while total > MEMORY:
+            total -= _kept.popitem(last=False)[1].bytes
         _kept[key] = Tree(observer, tolerance)
     _kept.move_to_end(key)
-    total = sum(tree.bytes for tree in _kept.values())
-    for old in list(_kept)[:-1]:
-        if total <= MEMORY:
-            break
-        total -= _kept.pop(old).bytes
     return _kept[key]

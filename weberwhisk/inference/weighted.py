@@ -53,7 +53,7 @@ class Spans(NamedTuple):
 
     def quantiles(self, p: Array) -> Array:
         """Quantiles (n, Q) of the union of all stretches."""
-        n, count = self.low.shape
+        count = self.low.shape[1]
         ends = np.concatenate([self.low, self.high], axis=1)
         width = np.maximum(self.high - self.low, 1e-12 * np.abs(ends).max(axis=1, keepdims=True))
         slope = self.mass / np.maximum(width, 1e-300)
@@ -65,14 +65,7 @@ class Spans(NamedTuple):
         rise = np.zeros_like(ends)
         np.cumsum(np.maximum(density, 0.0) * np.diff(ends, axis=1), axis=1, out=rise[:, 1:])
         rise /= rise[:, -1:]
-        out = np.empty((n, len(p)))
-        row = np.arange(n)
-        for q, wanted in enumerate(p):
-            j = np.clip((rise < wanted).sum(axis=1), 1, rise.shape[1] - 1)
-            below, above = rise[row, j - 1], rise[row, j]
-            share = (wanted - below) / np.maximum(above - below, 1e-300)
-            out[:, q] = ends[row, j - 1] + np.clip(share, 0, 1) * (ends[row, j] - ends[row, j - 1])
-        return out
+        return np.stack([np.interp(p, up, at) for up, at in zip(rise, ends, strict=True)])
 
 
 class Draws(NamedTuple):
@@ -275,16 +268,8 @@ class Sums:
         return best[np.unique(owner[best], return_index=True)[1]]
 
     def quantiles(self, p: Array, unknown: int, among: Flags | None = None) -> Array:
-        """Quantiles (B, Q) of an unknown, of readings `among` (B,) alone if given.
-
-        By spans, and by half as many, so that the error of second order is known and removed.
-        """
-        out = np.full((len(self.error), len(p)), np.nan)
-        pairs = zip(self.spans(unknown, 1, among), self.spans(unknown, 2, among), strict=True)
-        for fine, coarse in pairs:
-            value = fine.quantiles(p)
-            out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
-        return out
+        """Quantiles (B, Q) of an unknown, of readings `among` (B,) alone if given."""
+        return extrapolated(self, p, unknown, among)
 
     # -- draws -------------------------------------------------------------------------------------
 
@@ -304,12 +289,12 @@ class Sums:
         x = (middle + rng.random(middle.shape) - 0.5) * step
         return Draws(x, np.log(weight[chosen]))
 
-    def draws(self, count: int, rng: np.random.Generator, density: Any) -> Array:
-        """Draws (B, count, U) of the contact; `density` gives ln of it, and contacts, at (n, U)."""
+    def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
+        """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((*self.mean.shape[:1], count, self.mean.shape[1]), np.nan)
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
             proposed = self.proposals(OVER * count, rng, int(row))
-            log, contact = density(proposed.x, int(row))
+            log, contact = self.observer.log_density_and_contact(proposed.x, readings[row])
             out[row] = contact[Draws.resampled(log - proposed.log, count, rng)]
         return out
 
@@ -376,3 +361,23 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
     out = np.minimum(out, ceiling[..., None])
     return np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
+
+
+def extrapolated(sums: Any, p: Array, unknown: int, *among: Any) -> Array:
+    """Quantiles (B, Q) by spans, and by half as many: their error of second order is removed."""
+    out = np.full((len(sums.error), len(p)), np.nan)
+    both = sums.spans(unknown, 1, *among), sums.spans(unknown, 2, *among)
+    for fine, coarse in zip(*both, strict=True):
+        value = fine.quantiles(p)
+        out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
+    return out
+
+
+def density_of_distance(sums: Any, r: Array) -> Array:
+    """Posterior density (B,) of the radial distance at r (B,), 1/m."""
+    out = np.zeros(len(r))
+    for spans in sums.spans(0):
+        inside = (spans.low <= r[spans.rows, None]) & (r[spans.rows, None] < spans.high)
+        width = np.where(inside, spans.high - spans.low, 1.0)
+        out[spans.rows] = (inside * spans.mass / width).sum(axis=1) / spans.mass.sum(axis=1)
+    return out
