@@ -107,7 +107,8 @@ def largest_angle(cue: cues.Cue, whisker: ww.Whisker, contact: Array) -> Array:
 def draw(index: int, seed: int) -> Case:
     """The case of an index; the same for the same seed.
 
-    Whiskers that the package refuses (strongly curved ones without a table) are drawn anew.
+    Whiskers that the package refuses (strongly curved ones without a table) are drawn anew, and
+    those so nearly straight that the observer leaves their curvature out.
 
     Parameters
     ----------
@@ -131,6 +132,8 @@ def draw(index: int, seed: int) -> Case:
             contact = _contact(spec, edge, whisker, cue, rng)
             reading = observer.read(contact, rng)
         except ValueError:
+            continue
+        if observer.solver is not None:  # a cheaper model was chosen, which may not be for ever
             continue
         turned = np.flatnonzero(cue.circular)
         if turned.size:  # the second direction in the turn that is nearest to the first

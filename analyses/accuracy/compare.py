@@ -1,15 +1,15 @@
 """The package's posteriors beside the kept truth: how many are off, and how many silently.
 
-    python analyses/accuracy/compare.py [table] [--method quadrature] [--tolerance 1e-2]
-        [--twice]
+    python analyses/accuracy/compare.py [table] [--tolerance 1e-2] [--twice]
 
 Prints a row for each kind of observer and one for all: readings, how many are flagged (any status
 but converged), how many are silently beyond the bars, the largest silent error of mean and sd and
 of the ends of the 95 % interval, over the sd, and ms a reading. Below are the worst cases.
 
 The bars are 2e-3 sd for mean and sd and 1e-2 sd for the ends of intervals, or three times the error
-that is claimed. ms are of the first reading of each observer, with all that it works out once; `--twice`
-asks for each a second time and counts that. Rows whose truth is itself off by more than a fifth of the bar are left out.
+that is claimed. The ms are of an observer's first reading, with all that is worked out once for it;
+`--twice` asks again and counts that. Rows whose truth is itself off by more than a fifth of the bar
+are left out.
 """
 
 from __future__ import annotations
