@@ -178,7 +178,8 @@ class Tree:
         share = tolerance / 2000
         self.unknowns = len(observer.unknowns)
         self.room = np.log(1 / min(share, 1e-8 if self.unknowns == 1 else 1.0))
-        self.signal_count = self.start_signals = 0
+        # Three times as fine is 64 times the error of an edge, and any other is gone.
+        self.refinements = 12 if self.unknowns == 1 else 3
         self.evaluated = 0
         self._start: Level | None = None
 
@@ -192,7 +193,7 @@ class Tree:
         self.size = self.gaussian.size if self.gaussian else 0
         probe = np.ones((1, signals))
         own = sum(term.features(probe)[0].shape[1] for term in self.others)
-        self.scores = scores
+        self.scores, self.smooth = scores, all(c.noise.is_smooth for c in components)
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
         self.rows = _Rows(
@@ -373,15 +374,25 @@ class Tree:
             if self.bytes > MEMORY:
                 self.forget()
             rows = np.arange(begin, min(begin + size, len(readings)))
-            own = None if covariance is None else covariance[rows]
-            _Walk(self, readings[rows], own, rows, drop, out).run()
+            deeper = np.full(len(rows), drop)
+            for _ in range(WALKS):
+                own = None if covariance is None else covariance[rows]
+                walk = _Walk(self, readings[rows], own, rows, deeper, out)
+                walk.run()
+                missed = walk.missed()
+                rows, deeper = rows[missed > 0], (deeper + missed)[missed > 0]
+                if not rows.size:
+                    break
+            out.error[rows] = np.inf
         return out
 
 
 #: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
 PAIRS = 150_000
 #: Most cells of one reading, and most times its cells are halved.
-MOST, DEEPEST = 2_000_000, 22
+MOST, DEEPEST = 300_000, 22
+#: Most walks of a reading some of whose cells turn out to have been left out too early.
+WALKS = 3
 
 
 class _Task(NamedTuple):
@@ -397,7 +408,7 @@ class _Walk:
     """One chunk of readings on their way from the coarse cells to their lattices."""
 
     def __init__(
-        self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: float,
+        self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: Array,
         out: Sums,
     ) -> None:  # fmt: skip
         self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
@@ -406,6 +417,18 @@ class _Walk:
         if tree.gaussian:
             self.y, self.log_slope = tree.gaussian.readings(readings)
         self.refined = np.zeros(len(rows), dtype=int)
+        #: The highest density of a cell that was left out, blurred, and of those that were not.
+        self.left_out, self.highest = np.full((2, len(rows)), -np.inf)
+
+    def missed(self) -> Array:
+        """By how many nats what was left out may be above what should have been, (n,).
+
+        Wide cells have densities of readings that are improbable everywhere which their halves
+        have not: beside those the right ones were given up.
+        """
+        known = np.isfinite(self.highest)
+        gap = np.where(known, self.left_out - (self.highest - self.drop), 0.0)
+        return np.maximum(gap, 0.0)
 
     def run(self) -> None:
         start, n = self.tree.start, len(self.rows_out)
@@ -423,7 +446,13 @@ class _Walk:
                 if not task.last:
                     depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
             # Four nats more on the way, as cells are judged by their middles.
-            kept = depth > -(self.drop if task.last else self.drop + 4)
+            kept = depth > -(self.drop if task.last else self.drop + 4)[task.row]
+            if task.last:
+                self.highest[task.row[first]] = np.maximum.reduceat(log, first)
+            else:
+                out = np.where(kept, -np.inf, log)
+                most = self.left_out[task.row[first]]
+                self.left_out[task.row[first]] = np.maximum(most, np.maximum.reduceat(out, first))
             if kept.any():
                 step = self._sum if task.last else self._halve
                 level, row, cell = task.level, task.row[kept], task.cell[kept]
@@ -542,12 +571,11 @@ class _Walk:
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
         leaves = Leaves(level, self.rows_out[own], first, cell, log)
-        each = self.out.add(leaves, self.tree.rows, self.log_slope[own])
+        each = self.out.add(leaves, self.tree.rows, self.log_slope[own], self.tree.smooth)
         error = self.out.error[self.rows_out[own]]
         wide = (each > 0.5 * each.max(axis=0)) & (error > self.tree.tolerance)
         self.refined[own] += wide.any(axis=0)
-        # Three times as fine is 64 times the error of an edge, and any other is gone.
-        stop = ~wide.any(axis=0) | (self.refined[own] > 3)
+        stop = ~wide.any(axis=0) | (self.refined[own] > self.tree.refinements)
         stop |= counts * 2.0 ** wide.sum(axis=0) > MOST
         if stop.all():
             return []

@@ -299,6 +299,11 @@ class GeneralisedWeber(Gaussian):
         """Without a floor and a ceiling, where this is `Weber`'s law."""
         return not np.any(self.floor) and bool(np.all(np.isinf(self.ceiling)))
 
+    @property
+    def is_smooth(self) -> bool:
+        """Without a ceiling, where the mean of readings has a kink."""
+        return bool(np.all(np.isinf(self.ceiling)))
+
     def without_floor(self) -> GeneralisedWeber:
         """Without the floor, but of signals whose noise is a floor alone."""
         return replace(self, floor=np.where(np.asarray(self.weber_fraction) > 0, 0.0, self.floor))
@@ -392,6 +397,8 @@ class Saturating(GeneralisedWeber):
     def is_scale_family(self) -> bool:
         """Never: the response bends."""
         return False
+
+    is_smooth = True
 
     def uninformative(self, signals: Array) -> Flags:
         """Nowhere: the response rises for ever."""

@@ -53,6 +53,11 @@ class ReceptorNoise(Value):
     #: Readings are Gaussian as they are ("linear"), their logarithms are ("log"), or neither.
     gaussian_on: ClassVar[Literal["linear", "log"] | None] = None
 
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the likelihood is a smooth function of the signals, without kinks."""
+        return not self.is_categorical
+
     def mean(self, signals: ArrayLike) -> Array:
         """Mean of the readings, (..., R)."""
         raise NotImplementedError
