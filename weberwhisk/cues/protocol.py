@@ -69,6 +69,11 @@ class Cue(Value):
         return False
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether all signals are smooth functions of the contact, without kinks."""
+        return True
+
+    @property
     def circular(self) -> tuple[bool, ...]:
         """Which signals are angles that a whole turn leaves as they are."""
         return (False,) * len(self.signal_names)
@@ -268,6 +273,10 @@ class Fused(Cue):
     def signal_names(self) -> tuple[str, ...]:
         """Those of all cues; one that several have, with the cue's number behind it."""
         return _distinct([c.signal_names for c in self.cues])
+
+    @property
+    def is_smooth(self) -> bool:
+        return all(cue.is_smooth for cue in self.cues)
 
     @property
     def circular(self) -> tuple[bool, ...]:

@@ -378,6 +378,11 @@ class Vibration(Cue):
     phase: bool = False
     damping_ratio: float = 0.0
 
+    @property
+    def is_smooth(self) -> bool:
+        """With the phase; an amplitude alone has a kink at each node of its mode."""
+        return self.phase
+
     def __post_init__(self) -> None:
         least = 1 + (self.impulse is None)
         hint = "write 3, or impulse= for one mode"

@@ -47,6 +47,10 @@ class Conditioned(Cue):
         return self.cue.signal_names
 
     @property
+    def is_smooth(self) -> bool:
+        return self.cue.is_smooth
+
+    @property
     def circular(self) -> tuple[bool, ...]:
         return self.cue.circular
 

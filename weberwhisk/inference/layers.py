@@ -48,7 +48,7 @@ class Conditional:
     def __init__(self, observer: Observer, further: tuple[float, ...]) -> None:
         self.observer, self.further = observer, further
         self.unknowns, self.noise = observer.unknowns[: observer.bounded], observer.noise
-        self.space = observer.space
+        self.space, self.is_smooth = observer.space, observer.is_smooth
         self._hash = hash((observer, further))
 
     def __eq__(self, other: object) -> bool:
@@ -308,7 +308,8 @@ class LayeredSums:
         for axis, k in zip(self.axes, key, strict=True):
             readings, covariance, own = axis.asked(readings, covariance, k)
             slope += own + float(axis.log_prior(k))
-        found = self.layers.tree(key).sums(readings, covariance, drop=self.drop)
+        # Far from the mass readings are improbable, and what they have there is of no interest.
+        found = self.layers.tree(key).sums(readings, covariance, drop=self.drop, walks=1)
         known = np.isfinite(found.log_evidence)
         node.log[rows] = np.where(known, found.log_evidence + slope, -np.inf)
         node.guess[rows] = np.maximum(node.log[rows], -1e5)

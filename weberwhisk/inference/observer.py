@@ -56,6 +56,12 @@ def evaluated(
     if own:
         with np.errstate(all="ignore"):
             scores = observer.space.prior_scores(contact[..., : observer.bounded])[..., own]
+            # Scores end at ±9: beyond, by how far ln of the density is below its highest.
+            names = [observer.unknowns[i] for i in own]
+            below = [observer.space.peaks[n] - observer.prior[n].logpdf(contact[..., i])
+                     for i, n in zip(own, names, strict=True)]  # fmt: skip
+            depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
+        scores = np.copysign(np.maximum(np.abs(scores), depth), scores)
         scores = np.where(held[:, None], scores, 0.0)
     signals = np.where(held[:, None], signals, 0.0)
     return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
@@ -309,6 +315,12 @@ class Observer:
             elif name in self.prior:
                 log_prior = log_prior + self.prior[name].logpdf(out[..., i])
         return out, log_prior
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the likelihood is a smooth function of the contact, without kinks."""
+        noises = self.noise.components(len(self.cue.signal_names))
+        return self.cue.is_smooth and all(c.noise.is_smooth for c in noises)
 
     def evaluate(self, x: Array) -> Evaluated:
         """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from .._values import Array, Index
 from ..receptors import Seed
+from .laplace import find_mode
 from .layers import LayeredSums, Layers
 from .observer import Observer
 from .result import (
@@ -78,9 +79,14 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
     )
     refuse_impossible(reading, np.nan_to_num(evidence, nan=-np.inf))
     status = np.where(error <= wanted, Status.CONVERGED, Status.IMPRECISE)
-    # An error of a third of an sd is worse news than a ridge.
     if len(observer.unknowns) > 1:
-        status[is_unidentified(observer, best) & (error < 0.3)] = Status.UNIDENTIFIED
+        # By the best cell, and where that says so by the mode itself. An error of a third of an sd
+        # is worse news than a ridge.
+        some = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
+        if some.size:
+            mode = find_mode(observer, reading[some], observer.coordinates(best[some])).x
+            some = some[is_unidentified(observer, observer.contact(mode)[0])]
+        status[some] = Status.UNIDENTIFIED
     outside = is_outside(observer.noise, reading, observer.signals(best)[0])
     status[outside & (status != Status.IMPRECISE)] = Status.IMPROBABLE_READING
     ends = np.cumsum([len(part.error) for part in parts])[:-1]

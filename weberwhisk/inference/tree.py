@@ -33,6 +33,13 @@ DROP = 20.0
 #: Bytes of cells that are kept for all observers together.
 MEMORY = 1_000_000_000
 
+#: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
+PAIRS = 150_000
+#: Most cells of one reading, and most times its cells are halved.
+MOST, DEEPEST = 300_000, 22
+#: Most walks of a reading some of whose cells turn out to have been left out too early.
+WALKS = 3
+
 
 class TreeObserver(Protocol):
     """What a tree needs of an observer of one or two unknowns that the whisker bounds."""
@@ -41,6 +48,8 @@ class TreeObserver(Protocol):
     def noise(self) -> ReceptorNoise: ...
     @property
     def unknowns(self) -> tuple[str, ...]: ...
+    @property
+    def is_smooth(self) -> bool: ...
     def evaluate(self, x: Array) -> Evaluated: ...
     def ends(self) -> tuple[Array, Array]: ...
 
@@ -193,7 +202,7 @@ class Tree:
         self.size = self.gaussian.size if self.gaussian else 0
         probe = np.ones((1, signals))
         own = sum(term.features(probe)[0].shape[1] for term in self.others)
-        self.scores, self.smooth = scores, all(c.noise.is_smooth for c in components)
+        self.scores, self.smooth = scores, self.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
         self.rows = _Rows(
@@ -247,7 +256,7 @@ class Tree:
             out[rows.other_length] = np.sqrt(np.square(other).sum(axis=1))
         if self.others:
             out[rows.signals] = at.signals.T
-        out[rows.change] = change.transpose(0, 2, 1).reshape(-1, len(place))
+        out[rows.change] = change.transpose(0, 2, 1).reshape(-1, len(place)) if len(place) else 0.0
         self.evaluated += len(place)
         return out
 
@@ -359,15 +368,19 @@ class Tree:
     # -- readings ----------------------------------------------------------------------------------
 
     def sums(
-        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP
-    ) -> Sums:
+        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP,
+        walks: int = WALKS,
+    ) -> Sums:  # fmt: skip
         """The weighted cells of readings (B, R), and their moments.
 
         With the covariances (B, R, R) of measurement errors, which add to the receptors' noise;
-        cells whose density is `drop` nats below the highest are left out.
+        cells whose density is `drop` nats below the highest are left out. A reading some of whose
+        cells were left out too early walks again, `walks` times in all at most.
         """
         out = Sums.of(len(readings), self.unknowns, self.observer)
         start = self.start
+        if not start.count:  # no contact at all
+            return out
         # Pairs of a chunk's readings with the coarse cells are held at once.
         size = int(np.clip(PAIRS // start.count, 1, 512))
         for begin in range(0, len(readings), size):
@@ -375,7 +388,7 @@ class Tree:
                 self.forget()
             rows = np.arange(begin, min(begin + size, len(readings)))
             deeper = np.full(len(rows), drop)
-            for _ in range(WALKS):
+            for _ in range(walks):
                 own = None if covariance is None else covariance[rows]
                 walk = _Walk(self, readings[rows], own, rows, deeper, out)
                 walk.run()
@@ -383,16 +396,9 @@ class Tree:
                 rows, deeper = rows[missed > 0], (deeper + missed)[missed > 0]
                 if not rows.size:
                     break
-            out.error[rows] = np.inf
+            if walks > 1:
+                out.error[rows] = np.inf
         return out
-
-
-#: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
-PAIRS = 150_000
-#: Most cells of one reading, and most times its cells are halved.
-MOST, DEEPEST = 300_000, 22
-#: Most walks of a reading some of whose cells turn out to have been left out too early.
-WALKS = 3
 
 
 class _Task(NamedTuple):

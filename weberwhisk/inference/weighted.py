@@ -352,6 +352,8 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
                     on = np.minimum(3 * a - 3 * b + c, 2 * a - b)
                     pad[gap, j] = np.where(np.isfinite(on), np.minimum(on, a - 1), a - 8)
     pad = pad[:, 1:-1]
+    unknown = ~np.isfinite(pad).any(axis=1)
+    pad[unknown] = 0.0
     t = np.arange(parts) / parts
     cubic = np.stack(
         [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
@@ -362,6 +364,7 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     # Beside a cliff a cubic overshoots.
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
     out = np.minimum(out, ceiling[..., None])
+    out[unknown] = -np.inf
     return np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
 
 
