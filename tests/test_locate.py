@@ -12,8 +12,8 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.contacts import SPANS
+from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.one_distance import Group, one_distance
 

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import logsumexp, ndtr
 
 from .._values import Array, Index
-from .coordinates import constrain_distance, leaps
+from .coordinates import constrain_distance, from_normal, leaps
 from .layers import HALVINGS, Axis, Layers
 from .observer import Observer
 from .quadrature import TOLERANCE, pieces_of
@@ -385,7 +385,7 @@ def _log_prior(observer: Observer, x: Array, value: float | None) -> Array:
     contact[..., 0] = r[:, None]
     for i, name in enumerate(names, n):
         friction = name == "friction_angle"
-        contact[..., i] = Axis(name, observer).value(z / _unit(observer, name)) if friction else value
+        contact[..., i] = from_normal(observer.prior[name])(z) if friction else value
     least, held = observer.space.angle_range(contact[..., 0], contact)
     if "deflection_angle" in observer.prior:
         angle = observer.prior["deflection_angle"]
@@ -393,10 +393,6 @@ def _log_prior(observer: Observer, x: Array, value: float | None) -> Array:
     weight = np.exp(-0.5 * z**2)
     with np.errstate(divide="ignore"):
         return np.asarray(out + np.log(np.maximum(held @ weight / weight.sum(), 1e-300)))
-
-
-def _unit(observer: Observer, name: str) -> float:
-    return Axis(name, observer).unit
 
 
 # -- sums over what is shared ----------------------------------------------------------------------

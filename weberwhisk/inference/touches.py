@@ -1,4 +1,4 @@
-"""Several touches of one object: one radial distance, to each touch a deflection of its own (§4)."""
+"""Several touches of one object: one radial distance, each touch its own deflection (§4)."""
 
 from __future__ import annotations
 
@@ -144,7 +144,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         )
     owner: Index = np.zeros(len(y), dtype=np.intp)
     [found] = one_distance([Group(observer, y, None, owner)], 1)
-    named = {name: found.shared[:2] for name in shared} if found.shared else {}
+    named = {}
+    if found.shared:
+        mean, sd, _ = found.shared
+        named[shared[0]] = mean, sd
     status = _status(observer, y, found)
     return Touches(
         observer, len(y), found.mean, found.sd, status, found.r, found.density, named
