@@ -73,18 +73,6 @@ def test_samples_come_as_often_as_their_chances(noise):
         assert share == pytest.approx(p, abs=4.5 * np.sqrt(p * (1 - p) / n))
 
 
-def test_prepared_likelihoods_are_the_plain_ones():
-    rng = np.random.default_rng(2)
-    signals = rng.dirichlet(np.ones(4), (6, 15))[..., :3]
-    reading = BINARY.reports[rng.integers(0, 4, 40)]
-    reading[7] = 0.5  # reports nothing
-    index = rng.integers(0, 6, 40)
-    expected = BINARY.log_likelihood(reading[:, None], signals[index])
-    found = BINARY.prepared(signals)(reading, index)
-    np.testing.assert_array_equal(found, expected)
-    assert np.isneginf(found[7]).all()
-
-
 def test_the_interval_leaves_out_what_hardly_ever_happens():
     noise = Events([[0, 0], [1, 0], [1, 1]])
     low, high = noise.interval([1e-9, 0.5], 5.0)

@@ -27,8 +27,8 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
-from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.inference import default_noise
+from weberwhisk.inference.one_distance import Group, one_distance
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
@@ -83,19 +83,13 @@ def _touches(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Radial distances and their posterior masses, of contacts sensed with noise k."""
     rng, whisker = np.random.default_rng(seed), ENCODING.observer.whisker
-    lattice = Lattice(ww.Observer(whisker, cue, default_noise(whisker, cue, k)))
+    observer = ww.Observer(whisker, cue, default_noise(whisker, cue, k))
     theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
-    contact = np.stack([true, theta], axis=-1)
-    y = Readings(lattice.observer.read(contact, rng))
-    found = [(np.zeros(0), np.zeros(0))] * len(true)
-    for cells in lattice.search(y, np.full(len(true), 23.0)):
-        ends = np.append(cells.first, len(cells.owner))
-        for i, row in enumerate(cells.rows):
-            own = slice(ends[i], ends[i + 1])
-            mass = np.bincount(cells.layer[own] - cells.layer[own].min(), np.exp(
-                cells.log[own] - cells.log[own].max()))  # fmt: skip
-            x = (cells.layer[own].min() + 0.5 + np.arange(len(mass))) * cells.step[0]
-            found[row] = (lattice.observer.space.distance(x), mass / mass.sum())
+    y = observer.read(np.stack([true, theta], axis=-1), rng)
+    found = []
+    for one in one_distance([Group(observer, y, None, np.arange(len(y)))], len(y)):
+        mass = one.density * np.gradient(one.r)
+        found.append((one.r, mass / mass.sum()))
     return found
 
 

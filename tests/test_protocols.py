@@ -91,16 +91,13 @@ def test_whiskers_and_profiles_are_values():
 
 
 @pytest.mark.parametrize("make", NOISES)
-def test_a_prepared_table_has_the_likelihood(make):
-    """`prepared` and `log_likelihoods` are `log_likelihood`, worked out beforehand."""
+def test_a_table_of_likelihoods_has_each(make):
+    """`log_likelihoods` is `log_likelihood`, of all pairs at once."""
     noise = make()
     size = 3 if "Joint([Joint" in repr(noise) else 2
     rng = np.random.default_rng(0)
     signals = rng.uniform(0.2, 0.8, (5, 4, size)) * (0.5 if noise.is_categorical else 1.0)
     reading = noise.sample(signals[:, 0], 1)
-    index = np.array([3, 0, 0, 4, 2])
-    expected = noise.log_likelihood(reading[:, None], signals[index])
-    assert_allclose(noise.prepared(signals)(reading, index), expected, rtol=1e-9, atol=1e-9)
     table = noise.log_likelihood(reading[:, None], signals[:, 0])
     assert_allclose(noise.log_likelihoods(reading, signals[:, 0]), table, rtol=1e-9, atol=1e-9)
 

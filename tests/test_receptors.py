@@ -57,16 +57,6 @@ def test_likelihood_is_scipys_normal_with_the_models_covariance(noise):
         )
 
 
-@pytest.mark.parametrize("noise", GAUSSIAN.values(), ids=GAUSSIAN)
-def test_prepared_likelihood_is_the_likelihood(noise):
-    panels = np.stack([SIGNALS, 1.3 * SIGNALS])  # (2, 3, 2)
-    reading, index = SIGNALS[[0, 1, 2, 0]] * 1.1, np.array([1, 0, 1, 1])
-    expected = noise.log_likelihood(reading[:, None], panels[index])
-    assert noise.prepared(panels)(reading, index) == pytest.approx(expected, rel=1e-10, abs=1e-10)
-    none = noise.prepared(np.zeros((1, 1, 2)))(reading, np.zeros(4, dtype=int))
-    assert none == pytest.approx(noise.log_likelihood(reading[:, None], np.zeros((4, 1, 2))))
-
-
 @every_model
 def test_parts_of_a_model_fit_together(noise):
     assert isinstance(noise, ReceptorNoise)

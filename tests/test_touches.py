@@ -9,7 +9,7 @@ from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.touches import _grid, touches
+from weberwhisk.inference.touches import touches
 from weberwhisk.jnd import prior_draws
 from weberwhisk.jnd_curves import touches_jnd
 from weberwhisk.mechanics.contact import Outcome
@@ -36,7 +36,7 @@ def test_one_touch_is_todays_posterior(k, curvature):
         assert one.sd == pytest.approx(today.sd, rel=1e-6)
         ends = np.ravel(today.quantile_error_of(np.array([0.025, 0.975]), 0))
         off = np.abs(np.subtract(one.interval(), today.interval()))
-        assert np.all(off < 1e-4 * today.sd + ends)
+        assert np.all(off < 2e-3 * today.sd + ends)
 
 
 @pytest.mark.parametrize("cue", [cues.ForceMap(), cues.Compliance()], ids=repr)
@@ -69,7 +69,7 @@ def test_ten_equal_touches_may_say_more_than_root_ten_as_a_plain_sum_does(
         mean = weight @ r / weight.sum()
         sds.append(np.sqrt(weight @ (r - mean) ** 2 / weight.sum()))
         found = touches(observer, np.repeat(reading, n, axis=0))
-        assert found.sd == pytest.approx(sds[-1], rel=1e-3)
+        assert found.sd == pytest.approx(sds[-1], rel=2e-3)
     assert sds[1] / sds[0] * np.sqrt(10) == pytest.approx(ratio, abs=2e-3)
 
 
@@ -111,8 +111,6 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
     """Of several deflections, beside a sum over distance and each deflection."""
     whisker = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
     observer = Observer(whisker, cues.ForceMap(), default_noise(whisker, cues.ForceMap(), k))
-    # Else each look-up copied all signals first: ten touches took 36 ms on a curved whisker.
-    assert _grid(observer).signals.flags.c_contiguous
     limit = observer.angle_range(np.array([distance]))[1]
     readings = observer.read(
         np.column_stack([np.full(len(shares), distance), limit * shares]), seed
@@ -167,22 +165,32 @@ RUBBING = Observer(W, cues.Friction(cues.ForceMap()))
 
 
 def test_the_friction_of_each_touch_is_summed():
-    """Beside a plain sum over friction and deflection, at distances all over the posterior."""
-    grid = _grid(RUBBING)
+    """Beside a plain sum over friction and deflection."""
     readings = RUBBING.read([[25e-3, 0.2, 0.1], [25e-3, 0.3, -0.2]], seed=1)
-    rows = np.searchsorted(grid.r, [12e-3, 20e-3, 26e-3, 30e-3])
-    friction = RUBBING.prior["friction_angle"].ppf((np.arange(250) + 0.5) / 250)[:, None]
-    share = (np.arange(600) + 0.5) / 600
-    for row, found in zip(rows, grid.log_likelihood(readings, rows).T, strict=True):
-        contact = np.ones((250, 600, 3))
-        contact[..., 0], contact[..., 2] = grid.r[row], friction
+    r = np.linspace(4e-3, 44e-3, 81)
+    friction = RUBBING.prior["friction_angle"].ppf((np.arange(60) + 0.5) / 60)[:, None]
+    share = (np.arange(200) + 0.5) / 200
+    log = np.zeros((2, len(r)))
+    prior = np.zeros(len(r))
+    for row, distance in enumerate(r):
+        contact = np.ones((60, 200, 3))
+        contact[..., 0], contact[..., 2] = distance, friction
         limit = RUBBING.space.angle_range(contact[:, 0, 0], contact[:, 0])[1]
         contact[..., 1] = limit[:, None] * (1 - share**2)
-        signals, _ = RUBBING.signals(contact)
-        weight = 2 * share * limit[:, None] / limit.mean()
-        for reading, one in zip(readings, found, strict=True):
+        signals, outcome = RUBBING.signals(contact)
+        weight = 2 * share * limit[:, None] / limit.mean() * (outcome == Outcome.HELD)
+        signals = np.nan_to_num(signals, nan=1.0)
+        prior[row] = limit.mean()
+        for i, reading in enumerate(readings):
             likelihood = np.exp(RUBBING.noise.log_likelihood(reading, signals))
-            assert one == pytest.approx(np.log((likelihood * weight).mean()), abs=1e-3)
+            log[i, row] = np.log(np.maximum((likelihood * weight).mean(), 1e-300))
+    weight = prior * np.exp(log.sum(axis=0) - log.sum(axis=0).max())
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    found = touches(RUBBING, readings)
+    assert found.status == Status.CONVERGED
+    assert found.mean == pytest.approx(mean, abs=5e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=5e-3)
 
 
 @pytest.mark.slow
@@ -351,12 +359,13 @@ def test_what_touches_refuse():
         touches(Observer(W, cues.ForceMap()), [1e-6])
 
 
-def test_more_touches_than_the_grid_can_tell_are_not_called_improbable():
+def test_thousands_of_touches_are_as_precise_as_they_should_be():
     observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap())
     reading = observer.signals([[30e-3, 0.2]])[0]
-    found = touches(observer, np.repeat(reading, 8000, axis=0))
-    assert found.status == Status.IMPRECISE
-    assert np.isnan(found.mean)
+    few, many = (touches(observer, np.repeat(reading, n, axis=0)) for n in (100, 2000))
+    assert few.status == many.status == Status.CONVERGED
+    assert many.sd == pytest.approx(few.sd / np.sqrt(20), rel=0.02)
+    assert many.mean == pytest.approx(few.mean, abs=0.5 * few.sd)
 
 
 FORCES, TAP = Observer(W, cues.ForceMap()), Observer(W, cues.Compliance())

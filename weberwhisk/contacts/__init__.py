@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,14 +16,16 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks, domain
-from .._values import Array, Index
+from .._values import Array, Flags, Index
 from ..cues import Cue
 from ..cues.force_map import MeasuredAngle, is_curved
 from ..inference import Status
 from ..inference.coordinates import in_words
 from ..inference.observer import Observer, default_noise
+from ..inference.one_distance import Group, one_distance
+from ..inference.quadrature import TOLERANCE, sums_of
 from ..mechanics import Profile
-from ..receptors import ReceptorNoise
+from ..receptors import GeneralisedWeber, ReceptorNoise
 from ..whisker import Whisker
 from .calibration import Calibration, HingedTap, averaged, calibrate
 from .columns import (
@@ -38,9 +41,7 @@ from .columns import (
     turn_round,
     values_of,
 )
-from .lattice import Lattice, Readings, refuse_sharp
 from .signals import tracked_signals
-from .sums import alike, summarise, touch_posterior
 from .trackers import read_tracking, simulate_tracking
 
 __all__ = [
@@ -58,14 +59,28 @@ TOUCH_RESULTS = (
 )  # fmt: skip
 #: The sd from measurement errors alone, where receptors have noise as well.
 MEASURED = "measurement_sd_mm"
+#: Share of a signal that is the noise of receptors that are taken to have none.
+NO_NOISE = 1e-6
+#: Rows that are located together, for progress and memory.
+TOGETHER = 1024
+#: How far up to the fold the angles of a touch may go, as shares: with angles flat up to the fold,
+#: touches of small angles had errors of 1.4 sd.
+SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
+
+
+class _Side(NamedTuple):
+    """Rows pushed to one side, and what locates them: without receptors' noise if so wanted."""
+
+    rows: Index
+    observer: Observer
+    with_receptors: bool
 
 
 class _Located(NamedTuple):
-    """Numbers of n rows: (n, 6) in the order of `RESULTS`, status, and the ends of densities."""
+    """Numbers of n rows: (n, 6) in the order of `RESULTS`, and status."""
 
     numbers: Array
     status: NDArray[np.int64]
-    between: Array
 
 
 def locate(
@@ -205,34 +220,32 @@ def locate(
         side = one_side(si, named, notes)
         turn_round(si, _by_side(side, whisker), notes)
     cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, header)
-    readings, receptors = Readings(y, covariance), covariance is None or noise is not None
+    receptors = covariance is None or noise is not None
     out, done = raw.copy(), 0
     both = (MEASURED,) if covariance is not None and receptors else ()
     found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
     status = np.zeros(len(raw), dtype=int)
-    between = np.full((len(raw), 2), np.nan)
-    lattices = np.full(len(raw), None, dtype=object)
+    sides: list[_Side] = []
     for rows, own in _by_side(side, whisker):
         observer = Observer(own, cue, _receptors(noise, own, cue), prior or {})
         if observer.noise.is_categorical or not observer.noise.reads_signals:
             raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
         check_magnitudes(observer, y[rows], found)
-        refuse_sharp(observer)
-        lattice = Lattice(observer, with_receptors=receptors)
+        exact = observer if covariance is None else _without_receptors(observer)
+        sides.append(_Side(rows, observer if receptors else exact, receptors))
+        errors = None if covariance is None else covariance[rows]
 
         def tell(now: int, _: int, before: int = done) -> None:
             if progress:
                 progress(before + now, len(raw))
 
-        located = _rows(lattice, readings.take(rows), tell, keep=named is not None)
+        located = _rows(sides[-1], y[rows], errors, tell)
         done += len(rows)
         for name, column in zip(RESULTS, located.numbers.T, strict=False):
             found_rows[name][rows] = column
-        status[rows], between[rows] = located.status, located.between
-        lattices[rows] = Lattice(observer, with_receptors=receptors, for_touches=True)
+        status[rows] = located.status
         if both:
-            lattice = Lattice(observer, with_receptors=False)
-            alone = _rows(lattice, readings.take(rows), None, keep=False)
+            alone = _rows(_Side(rows, exact, False), y[rows], errors, None)
             found_rows[MEASURED][rows] = alone.numbers[:, 1]
     # A bent whisker more than three times as far off its points as their noise tells of no contact.
     status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
@@ -240,13 +253,13 @@ def locate(
     if named is not None:
         each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)
         numbers, words["touch_status"] = _of_touches(
-            each, lattices, between, status, readings, named, common
+            each, sides, status, y, covariance, named, common
         )
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
-    errors = "its measurement errors" if covariance is not None else ""
+    measured = "its measurement errors" if covariance is not None else ""
     ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
     law = f"{observer.noise!r}, k = {', '.join(f'{k:g}' for k in ks)}" if receptors else ""
-    said = " and ".join(filter(None, [errors, law]))
+    said = " and ".join(filter(None, [measured, law]))
     notes.append(
         f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
         f"{_priors(observer)}"
@@ -266,6 +279,15 @@ def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
     if noise is None or isinstance(noise, ReceptorNoise):
         return noise
     return default_noise(whisker, cue, noise)
+
+
+def _without_receptors(observer: Observer) -> Observer:
+    """The observer with next to no noise of receptors, beside measurement errors."""
+    size = len(observer.cue.signal_names)
+    usual = default_noise(observer.whisker, observer.cue, NO_NOISE)
+    # A default floor is a hundredth of the usual signal, or one degree.
+    floor = 100 * NO_NOISE * usual.floors(size)
+    return replace(observer, noise=GeneralisedWeber(NO_NOISE, floor=floor))
 
 
 def _touches_of(
@@ -352,50 +374,52 @@ def _by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
 
 
 def _rows(
-    lattice: Lattice,
-    readings: Readings,
-    progress: Callable[[int, int], None] | None,
-    *,
-    keep: bool,
+    side: _Side, y: Array, covariance: Array | None, progress: Callable[[int, int], None] | None
 ) -> _Located:
-    n = len(readings.value)
+    """Rows (n, S) one by one, with the covariances (n, S, S) of their measurement errors."""
+    n, observer = len(y), side.observer
     numbers = np.full((n, 6), np.nan)
     status = np.full(n, int(Status.NOT_A_READING))
-    between = np.full((n, 2), np.nan)
-    finite = np.isfinite(readings.value).all(axis=1)
-    if readings.covariance is not None:
-        finite &= np.isfinite(readings.covariance).all(axis=(1, 2))
-    zero = (readings.value == 0).any(axis=1)
+    finite = np.isfinite(y).all(axis=1)
+    if covariance is not None:
+        finite &= np.isfinite(covariance).all(axis=(1, 2))
+    zero = (y == 0).any(axis=1)
     status[finite & zero] = Status.NO_CONTACT
-    rows = np.flatnonzero(finite & ~zero)
-    some = readings.take(rows)
-    outside = bool(domain.of_observer(lattice.observer)) and lattice.with_receptors
-    prior_sd = _prior_sd(lattice.observer)
-    done = n - len(rows)
-    groups = alike(lattice, some)
-    for batch in (groups[i : i + 32] for i in range(0, len(groups), 32)):
-        first = some.take([g[0] for g in batch])
-        # Cells that others share, or a touch, are sought farther: 5 sd beyond readings 1 sd off.
-        drop = np.array([23.0 if keep or len(g) > 1 else 16.0 for g in batch])
-        for cells in lattice.search(first, drop):
-            at = rows[np.concatenate([batch[i] for i in cells.rows])]
-            found = summarise(lattice, cells, batch, some, 0.95)
-            numbers[at, 0], numbers[at, 1] = found.mean[:, 0], found.sd[:, 0]
-            numbers[at, 2:4], between[at] = found.ends, found.between
-            if lattice.observer.bounded > 1:
-                numbers[at, 4], numbers[at, 5] = found.mean[:, 1], found.sd[:, 1]
-            own = np.full(len(at), int(Status.CONVERGED))
-            far = found.mean[:, 0] < domain.CONTACTS[0] * lattice.observer.reach[1]
-            own[far | outside] = Status.OUTSIDE_DOMAIN
-            own[found.sd[:, 0] > 0.9 * prior_sd] = Status.UNIDENTIFIED
-            own[found.off > 5] = Status.IMPROBABLE_READING
-            own[~found.precise] = Status.IMPRECISE
-            status[at] = own
-            done += len(at)
-            if progress:
-                progress(done, n)
+    every = np.flatnonzero(finite & ~zero)
+    outside = bool(domain.of_observer(observer)) and side.with_receptors
+    prior_sd = _prior_sd(observer)
+    done = n - len(every)
+    for rows in (every[i : i + TOGETHER] for i in range(0, len(every), TOGETHER)):
+        errors = None if covariance is None else covariance[rows]
+        found = sums_of(observer, y[rows], errors)
+        numbers[rows, 0], numbers[rows, 1] = found.mean[:, 0], found.sd[:, 0]
+        numbers[rows, 2:4] = found.quantiles(np.array([0.025, 0.975]), 0)
+        if observer.bounded > 1:
+            numbers[rows, 4], numbers[rows, 5] = found.mean[:, 1], found.sd[:, 1]
+        own = np.full(len(rows), int(Status.CONVERGED))
+        near = found.mean[:, 0] < domain.CONTACTS[0] * observer.reach[1]
+        own[near | outside] = Status.OUTSIDE_DOMAIN
+        own[found.sd[:, 0] > 0.9 * prior_sd] = Status.UNIDENTIFIED
+        own[found.error > TOLERANCE] = Status.IMPRECISE
+        own[_is_improbable(observer, y[rows], errors, found.best)] = Status.IMPROBABLE_READING
+        status[rows] = own
+        done += len(rows)
+        if progress:
+            progress(done, n)
     numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi]
-    return _Located(numbers, status, between)
+    return _Located(numbers, status)
+
+
+def _is_improbable(
+    observer: Observer, y: Array, covariance: Array | None, contact: Array
+) -> Flags:
+    """Rows with a signal more than 5 sd from that of their most probable contact."""
+    signals = observer.signals(contact)[0]
+    variance = observer.noise.sd(signals) ** 2
+    if covariance is not None:
+        variance = variance + np.diagonal(covariance, axis1=1, axis2=2)
+    off = np.abs(y - observer.noise.mean(signals)) / np.sqrt(variance)
+    return np.asarray(~(off.max(axis=1) <= 5))
 
 
 def _prior_sd(observer: Observer) -> float:
@@ -406,7 +430,7 @@ def _prior_sd(observer: Observer) -> float:
 
 
 def _of_touches(
-    alone: Array, lattices: NDArray[np.object_], between: Array, status: Array, readings: Readings,
+    alone: Array, sides: Sequence[_Side], status: Array, y: Array, covariance: Array | None,
     named: NDArray[np.object_], common: Array,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
@@ -418,6 +442,10 @@ def _of_touches(
     words = np.full(len(named), "no_touch", dtype=object)
     touch = pd.Series(named, dtype=object)
     good = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN))
+    several: list[tuple[Index, Index]] = []  # rows of a touch, and those that are used
+    reach = np.full(len(named), np.nan)
+    for side in sides:
+        reach[side.rows] = side.observer.reach[1]
     for each in touch.groupby(touch, sort=False).indices.values():
         rows = np.asarray(each)
         used = rows[good[rows]]
@@ -425,20 +453,31 @@ def _of_touches(
         if used.size == 1:
             numbers[rows] = alone[used]
         elif used.size:
-            if len({lattice.observer.reach for lattice in lattices[used]}) > 1:
+            if np.ptp(reach[used]) > 0:
                 raise ValueError(
                     "A touch has rows from both sides of a curved whisker, which reach differently "
                     "far at the cue's angle; give the rows of each side a touch of their own."
                 )
-            low, high = between[used, 0].max(), between[used, 1].min()
-            sides = [(one, used[lattices[used] == one]) for one in dict.fromkeys(lattices[used])]
-            found = touch_posterior(
-                [(lattice, readings.take(own)) for lattice, own in sides], (low, high), 0.95
-            )
-            own = 1e3 * np.array([found.mean, found.sd, *found.ends])
-            more = (common[used] ** 2).mean() * (1 - 1 / used.size)
-            wider = np.sqrt(1 + more / own[1] ** 2)
-            own[1:] = [own[1] * wider, *np.maximum(own[0] + (own[2:] - own[0]) * wider, 0.0)]
-            numbers[rows] = own
-            words[rows] = "converged" if found.agree else "rows_disagree"
+            several.append((rows, used))
+    for begin in range(0, len(several), 64):
+        some = several[begin : begin + 64]
+        owner = np.full(len(named), -1)
+        for i, (_, used) in enumerate(some):
+            owner[used] = i
+        groups = []
+        for side in sides:
+            at = side.rows[owner[side.rows] >= 0]
+            errors = None if covariance is None else covariance[at]
+            if at.size:
+                groups.append(Group(side.observer, y[at], errors, owner[at]))
+        each_found = one_distance(groups, len(some), SPANS)
+        for (rows, used), found in zip(some, each_found, strict=True):
+            words[rows] = "converged" if np.isfinite(found.mean) else "rows_disagree"
+            if np.isfinite(found.mean):
+                ends = found.quantiles(np.array([0.025, 0.975]))
+                own = 1e3 * np.array([found.mean, found.sd, *ends])
+                more = (common[used] ** 2).mean() * (1 - 1 / used.size)
+                wider = np.sqrt(1 + more / own[1] ** 2)
+                own[1:] = [own[1] * wider, *np.maximum(own[0] + (own[2:] - own[0]) * wider, 0.0)]
+                numbers[rows] = own
     return numbers, words

@@ -7,7 +7,6 @@ whiskers (`TwoWhiskers`), a base that moves within a whisk (`ContactAndDetachmen
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from typing import Any
@@ -136,28 +135,6 @@ class AngleSideAngle(Cue):
         outcome = self._outcome(whisker, r, first)
         angles = np.stack([angle, bearing], axis=-1)
         return np.where((outcome == Outcome.HELD)[..., None], angles, np.nan), outcome
-
-    def given(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Encoded]:
-        straight(whisker)
-        if self.side_sd == 0:
-            return lambda bearing: self.signals(
-                whisker, np.concatenate([contact, bearing[..., None]], axis=-1)
-            )
-        r, bearing = contact[..., 0], contact[..., 1]
-        ahead, across = r * np.cos(bearing), r * np.sin(bearing)
-
-        def signals(side: Array) -> Encoded:
-            along = side + ahead
-            outcome = self._outcome(whisker, r, np.hypot(along, across))
-            angles = np.empty((*along.shape, 2))
-            angles[..., 0], angles[..., 1] = np.arctan2(across, along), bearing
-            if outcome.any():
-                angles[outcome != Outcome.HELD] = np.nan
-            return angles, outcome
-
-        return signals
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Slopes of the angles, (..., 2, U).

@@ -415,18 +415,10 @@ class SpaceMap(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.asarray(contact, dtype=float)
-        return self.given(whisker, contact[..., :2], model=model)(contact[..., 2])
-
-    def given(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Encoded]:
-        def at(plane: Array) -> Callable[[Array], Encoded]:
-            whole = np.concatenate([contact, plane[..., None]], axis=-1)
-            return self.from_plane(whisker, whole, model=model)
-
-        if _is_flat(forward_of(whisker), model):
-            return at(np.zeros(contact.shape[:-1]))
-        return lambda azimuth: at(azimuth - self.roll)(azimuth)
+        azimuth = contact[..., 2]
+        place = contact.copy()
+        place[..., 2] = 0.0 if _is_flat(forward_of(whisker), model) else azimuth - self.roll
+        return self.from_plane(whisker, place, model=model)(azimuth)
 
     def from_plane(
         self, whisker: Whisker, contact: Array, *, model: str | None = None

@@ -17,9 +17,9 @@ What else is asked has an answer here, to be overridden where the cue has a bett
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -84,28 +84,6 @@ class Cue(Value):
         `model` names the model of the mechanics; without it the elastica's.
         """
         raise NotImplementedError
-
-    def given(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Encoded]:
-        """Signals and outcome as a function of the last unknown (...), the others (..., U − 1).
-
-        What does not depend on it is worked out once, where the cue knows how.
-
-        Examples
-        --------
-        >>> from weberwhisk.cues import Compliance, UnknownStiffness
-        >>> w = Whisker(50e-3, 100e-6, 5e-6)
-        >>> signals = UnknownStiffness(Compliance()).given(w, np.array([[20e-3]]))
-        >>> (signals(np.array([2.0]))[0] / signals(np.array([1.0]))[0]).tolist()
-        [[2.0]]
-        """
-
-        def signals(last: Array) -> Encoded:
-            whole = np.concatenate([contact, last[..., None]], axis=-1)
-            return self.signals(whisker, whole, model=model)
-
-        return signals
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Derivatives of the signals with respect to the unknowns, (..., S, U).
@@ -312,23 +290,6 @@ class Fused(Cue):
         """Signals of all cues (..., S); the outcome is that of the first cue that fails."""
         parts = (c.signals(whisker, self.part(c, contact), model=model) for c in self.cues)
         return self._together(list(parts))
-
-    def given(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Encoded]:
-        *known, last = self.unknowns
-        parts: list[Callable[[Array], Encoded]] = []
-        for cue in self.cues:
-            place = contact[..., [known.index(name) for name in cue.unknowns if name != last]]
-            if last not in cue.unknowns:
-                parts.append(partial(_same, cue.signals(whisker, place, model=model)))
-            elif cue.unknowns[-1] == last:
-                parts.append(cue.given(whisker, place, model=model))
-            else:
-                parts.append(
-                    partial(_inserted, cue, cue.unknowns.index(last), whisker, place, model)
-                )
-        return lambda value: self._together([part(value) for part in parts])
 
     def _together(self, parts: Sequence[Encoded]) -> Encoded:
         """All signals, and the outcome of the first cue that fails."""

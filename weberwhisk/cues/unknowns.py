@@ -7,7 +7,7 @@ Each wraps a cue and adds its unknown as the last: `UnknownStiffness`, `UnknownC
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -479,15 +479,8 @@ class UnknownStiffness(_Wrapped):
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.asarray(contact, dtype=float)
-        return self.given(whisker, contact[..., :-1], model=model)(contact[..., -1])
-
-    def given(
-        self, whisker: Any, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Encoded]:
-        signals, outcome = self.cue.signals(self._under(whisker), contact, model=model)
-        if self.is_scale:
-            return lambda factor: (signals * factor[..., None], outcome)
-        return lambda factor: (signals * np.where(self._soft, factor[..., None], 1.0), outcome)
+        signals, outcome = self.cue.signals(self._under(whisker), contact[..., :-1], model=model)
+        return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
 
     def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
         contact = np.asarray(contact, dtype=float)

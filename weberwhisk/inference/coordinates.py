@@ -139,10 +139,6 @@ class ContactCoordinates:
             low, high = self.reach
             return unconstrain_distance(np.clip((value - low) / (high - low), 0.0, 1.0))
 
-    def constrain_last(self, z: Array) -> Array:
-        """The last unknown's values (...) at its coordinate z, where the whisker bounds it not."""
-        return self._from_normal[self.cue.unknowns[-1]](z)
-
     def spread(self, fractions: Array, *, others: int = 7) -> Array:
         """Coordinates (n, U) of contacts at all combinations of fractions of each range.
 
@@ -218,11 +214,6 @@ class ContactCoordinates:
         """Whether what contacts are held depends on a further unknown."""
         contact = np.ones((1, len(self.cue.unknowns)))
         return len(self.cue.forward(self.whisker, contact).extremes(2)) > 1
-
-    @property
-    def angle_range_varies(self) -> bool:
-        """Whether the range of the deflection angle does."""
-        return self.bounded > 1 and self.reach_varies
 
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""

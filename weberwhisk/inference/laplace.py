@@ -98,23 +98,17 @@ def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
 
 
 def climb(
-    observer: Any,
-    reading: Array,
-    start: Array,
-    enough: float,
-    steps: int,
-    prior: Array | None = None,
+    observer: Any, reading: Array, start: Array, enough: float, steps: int
 ) -> tuple[Array, Array, Array]:
     """Fisher scoring from places (n, U) of readings (n, R), down to a squared decrement.
 
-    Of an `Observer`, or in other coordinates with their curvature of ln prior (U, U). Returns the
-    places, ln of the density there (n,), and the inverse of the information (n, U, U), that of the
-    prior in x included.
+    Returns the places, ln of the density there (n,), and the inverse of the information (n, U, U),
+    that of the prior in x included.
     """
     dim = start.shape[1]
     x, top = start.copy(), np.full(len(start), -np.inf)
     covariance = np.broadcast_to(np.eye(dim), (len(start), dim, dim)).copy()
-    prior = prior_precision(observer) if prior is None else prior
+    prior = prior_precision(observer)
     radius, moving, trial = np.full(len(start), 0.5), np.arange(len(start)), start.copy()
     for _ in range(steps):
         value, gradient, information = score(observer, reading[moving], trial[moving])

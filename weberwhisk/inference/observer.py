@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
@@ -349,10 +349,6 @@ class Observer:
         """Lowest deflection angle and width of the range open at each distance."""
         return self.space.angle_range(r)
 
-    def last_unknown(self, z: Array) -> Array:
-        """The last unknown's values (...) at its coordinate z."""
-        return self.space.constrain_last(z)
-
     def at_middle(self, contact: ArrayLike) -> Array:
         """Contacts (..., U) of the first unknowns (..., ≤ U), the others at their prior medians."""
         contact = np.asarray(contact, dtype=float)
@@ -423,13 +419,6 @@ class Observer:
     def signals(self, contact: ArrayLike) -> tuple[Array, Codes]:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
         return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.solver)
-
-    def given(self, contact: Array) -> Callable[[Array], tuple[Array, Codes]]:
-        """Signals and outcome for values (...) of the last unknown, the others (..., U − 1) given.
-
-        What does not depend on it is worked out once.
-        """
-        return self.cue.given(self.whisker, np.asarray(contact, dtype=float), model=self.solver)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""

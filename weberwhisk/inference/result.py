@@ -5,10 +5,10 @@ And what every engine gives back for that, and asks of a posterior before it sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,8 +65,7 @@ class Posterior(Shown):
     observer : Observer
     reading : array
     method : str
-        ``"quadrature"``, ``"emcee"`` or ``"laplace"``; ``"quadrature, own grid"`` where tiles, the
-        usual engine of several unknowns, would have been too many.
+        ``"quadrature"``, ``"emcee"`` or ``"laplace"``.
     estimates : mapping of name to Estimate
         Mean, sd and their errors for each unknown.
     status : Status or array of int
@@ -265,8 +264,6 @@ class Solution(NamedTuple):
     draws_of: Callable[[int, Seed], Array]
     #: Errors of the quantiles, where the method knows them.
     quantile_error_of: Callable[[Array, int], Array] | None = None
-    #: Readings (B,) that were summed on a grid of their own.
-    own_grid: Flags | None = None
 
     def of(self, rows: Index) -> Solution:
         """The same for readings some of which come again and again."""
@@ -296,21 +293,8 @@ class Solution(NamedTuple):
             lambda p, unknown: put(self.quantile_of(p, unknown)),
             lambda count, seed: put(self.draws_of(count, seed)),
             self.quantile_error_of and (lambda p, unknown: put(error_of(p, unknown))),
-            None if self.own_grid is None else put(self.own_grid.astype(float)) == 1,
         )
 
-
-Columns = TypeVar("Columns", bound=tuple[Any, ...])
-
-
-def among(columns: Columns, rows: Any) -> Columns:
-    """Some rows of arrays side by side in a named tuple."""
-    return columns._make(column[rows] for column in columns)  # type: ignore[attr-defined]
-
-
-def joined(parts: Sequence[Columns]) -> Columns:
-    """Named tuples of arrays, one below the other."""
-    return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[attr-defined]
 
 
 def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Estimate]) -> Flags:

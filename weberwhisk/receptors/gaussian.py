@@ -6,14 +6,14 @@ where they are to be exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import non_negative, number, numbers, positive
-from .._values import Array, Flags, Index
+from .._values import Array, Flags
 from .protocol import ReceptorNoise, Seed
 
 
@@ -98,35 +98,6 @@ class Gaussian(ReceptorNoise):
             constant = np.log(np.diag(root)).sum() - 0.5 * size * np.log(2 * np.pi)
             value = constant - 0.5 * square - np.log(spread)
         return np.where(spread > 0, value, -np.inf)
-
-    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
-        sd, mean = self.sd(signals), self.mean(signals)
-        size = sd.shape[-1]
-        root = self.root(size)
-        held = np.all(sd > 0, axis=-1)
-        scale = root / np.where(held[..., None], sd, 1.0)[..., None, :]
-        offset = -(scale @ mean[..., None])[..., 0]
-        with np.errstate(divide="ignore"):
-            constant = np.log(np.diag(root)).sum() - np.log(sd).sum(axis=-1)
-        constant = np.where(held, constant - 0.5 * size * np.log(2 * np.pi), -np.inf)
-        axes = [
-            (offset[..., k].copy(), [(i, scale[..., k, i].copy()) for i in np.flatnonzero(root[k])])
-            for k in range(size)
-        ]
-
-        def log_likelihood(reading: Array, index: Index) -> Array:
-            y = reading.T.reshape(size, -1, *(1,) * (constant.ndim - 1))
-            value = constant[index]
-            for start, factors in axes:
-                z = start[index]
-                for i, factor in factors:
-                    z += factor[index] * y[i]
-                z *= z
-                z *= 0.5
-                value -= z
-            return value
-
-        return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
         """`log_likelihood` of readings (B, S) at each of many signals (N, S), (B, N).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -125,20 +124,6 @@ class LogNormal(Proportional):
         with np.errstate(divide="ignore"):
             log = np.log(np.abs(reading))
         return log + _SIDE * (reading < 0), -log.sum(axis=-1)
-
-    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
-        of_logs, sign = self._logs.prepared(self._centre(signals)), np.sign(signals)
-
-        def log_likelihood(reading: Array, index: Index) -> Array:
-            own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                logs = np.log(np.abs(reading))
-                value = of_logs(logs, index)
-                value -= logs.sum(axis=-1).reshape(own.shape[:-1])
-            value[~(own * sign[index] > 0).all(axis=-1)] = -np.inf
-            return value
-
-        return log_likelihood
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         signals = np.asarray(signals, dtype=float)
@@ -349,17 +334,6 @@ class Events(ReceptorNoise):
         log = np.broadcast_to(log, (*shape, log.shape[-1]))
         at = np.broadcast_to(event, shape)[..., None]
         return np.where(known, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
-
-    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
-        log = np.moveaxis(self._log_chances(signals), -1, 0)
-
-        def log_likelihood(reading: Array, index: Index) -> Array:
-            event, known = self._event(reading)
-            value = log[event, index]
-            value[~known] = -np.inf
-            return value
-
-        return log_likelihood
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         rise = np.cumsum(self.chances(signals), axis=-1)

@@ -17,7 +17,7 @@ better one. One line in `receptors/__init__.py` lists it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, reduce
 from itertools import accumulate
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import several, shown, whole
-from .._values import Array, Flags, Index, Value
+from .._values import Array, Flags, Value
 
 Seed = int | np.random.SeedSequence | np.random.Generator | None
 
@@ -184,22 +184,6 @@ class ReceptorNoise(Value):
         By default mean and sd of the readings.
         """
         return self.mean(signals), self.sd(signals)
-
-    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
-        """`log_likelihood` at a table of signals (P, ..., S) for many readings.
-
-        Returns
-        -------
-        callable
-            Of readings (n, R) and the index (n,) of the signals for each, giving (n, ...), a new
-            array. What does not depend on the readings is worked out once, where the law allows.
-        """
-
-        def log_likelihood(reading: Array, index: Index) -> Array:
-            own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
-            return self.log_likelihood(own, signals[index])
-
-        return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
         """`log_likelihood` of readings (B, R) at each of signals (N, S), a new array (B, N)."""
@@ -360,14 +344,6 @@ class Joint(ReceptorNoise):
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
-
-    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
-        parts = [(c.readings, c.noise.prepared(signals[..., c.signals])) for c in self._components]
-
-        def log_likelihood(reading: Array, index: Index) -> Array:
-            return reduce(np.add, (part(reading[:, columns], index) for columns, part in parts))
-
-        return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
         return reduce(np.add, (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals)))

@@ -1,0 +1,485 @@
+"""One distance of several readings, to each an angle (and friction) of its own.
+
+Given the distance, readings are independent:
+p(r | y₁ … yₙ) ∝ p(r) ∏ᵢ p(yᵢ | r). Each factor is the density of the first coordinate that the
+tree has for one reading, over its prior, so that the prior counts once. It is smooth where the
+product is sharp: its logarithm is interpolated by splines. An unknown of the whisker, such as
+its stiffness, is the same in all readings: it is given at nodes, over which products are summed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.special import logsumexp, ndtr
+
+from .._values import Array, Index
+from .coordinates import constrain_distance, from_normal, leaps
+from .layers import HALVINGS, Axis, Layers
+from .observer import Observer
+from .quadrature import TOLERANCE, pieces_of
+from .tree import tree_of
+from .weighted import Sums
+
+#: Nats below the best of each reading down to which it is followed: 9 sd.
+DROP = 40.0
+#: Normal scores at which conditional quantiles of the distance are interpolated between nodes.
+SCORES = np.linspace(-6.0, 6.0, 97)
+
+
+class Group(NamedTuple):
+    """Readings (n, R) of one observer, covariances of their errors, and the set of each, (n,)."""
+
+    observer: Observer
+    readings: Array
+    covariance: Array | None
+    owner: Index
+
+
+@dataclass(frozen=True, eq=False)
+class OneDistance:
+    """The posterior of one distance.
+
+    Attributes
+    ----------
+    mean, sd : float
+        m; NaN where the readings have no distance in common.
+    r, density : array
+        Density of the distance, 1/m, at distances, m.
+    log_evidence : float
+    error : float
+        Of means and sds, in sds.
+    shared : tuple
+        Mean, sd and best value of the shared unknown; empty without one.
+    worse : float
+        By how many nats the most probable distance is worse for any reading than its own best.
+    """
+
+    mean: float = np.nan
+    sd: float = np.nan
+    r: Array = field(default_factory=lambda: np.full(2, np.nan))
+    density: Array = field(default_factory=lambda: np.full(2, np.nan))
+    log_evidence: float = -np.inf
+    error: float = np.inf
+    shared: tuple[float, ...] = ()
+    worse: float = np.inf
+
+    def quantiles(self, p: Array) -> Array:
+        """Quantiles of the distance, m."""
+        return quantiles_of(p, self.r, self.density)
+
+    @property
+    def best(self) -> float:
+        """The distance of highest density in the coordinate, nearly."""
+        return float(self.r[np.argmax(self.density)])
+
+
+def shared_unknowns(observer: Observer) -> list[str]:
+    """The unknowns that are the whisker's, the same in all readings."""
+    return [n for n in observer.unknowns[observer.bounded :] if n != "friction_angle"]
+
+
+def one_distance(
+    groups: Sequence[Group], count: int, spans: Array | None = None
+) -> list[OneDistance]:
+    """The posteriors of the distances of `count` sets of readings.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        Of one observer each, all of which reach as far; a set may have readings of several.
+    count : int
+    spans : array, optional
+        How far up to the largest angle the angles of a set may go, as a share: with a span s
+        shares u have the density exp(−(u/s)⁴), and each span is as likely. By default, and where
+        the angle has a prior, angles are as the observer has them.
+    """
+    prior = groups[0].observer.prior.get("radial_distance")
+    groups = [g._replace(observer=_without_prior(g.observer)) for g in groups]
+    observer = groups[0].observer
+    if spans is not None and (observer.bounded < 2 or "deflection_angle" in observer.prior):
+        spans = None
+    names = shared_unknowns(observer)
+    every = np.arange(count)
+    if not names:
+        return _products(groups, every, prior, spans, None, 0)
+    axis = Axis(names[0], observer)
+    known: list[dict[int, OneDistance]] = [{} for _ in every]
+    for halvings in range(HALVINGS + 1):
+        nodes = axis.nodes(halvings)
+        for node in nodes.tolist():
+            wanted = [i for i in every if _is_near(known[i], node, int(nodes[1] - nodes[0]))]
+            found = _products(groups, np.array(wanted), prior, spans, axis, node)
+            log_prior = float(axis.log_prior(node))
+            for i, one in zip(wanted, found, strict=True):
+                known[i][node] = replace(one, log_evidence=one.log_evidence + log_prior)
+        error = {i: _summed(axis, known[i], nodes)[2] for i in every}
+        every = np.array([i for i in every if error[i] > TOLERANCE], dtype=int)
+        if not every.size:
+            break
+    return [_mixture(axis, nodes) for nodes in known]
+
+
+def _without_prior(observer: Observer) -> Observer:
+    """The observer with a flat prior of the distance, which counts once, in the product."""
+    if "radial_distance" not in observer.prior:
+        return observer
+    prior = {n: p for n, p in observer.prior.items() if n != "radial_distance"}
+    return replace(observer, prior=prior, noise=observer.noise)
+
+
+# -- of one reading --------------------------------------------------------------------------------
+
+
+class _Part(NamedTuple):
+    """ln of a density (L, K) of a reading at even places of the first coordinate."""
+
+    start: float
+    step: float
+    log: Array
+
+
+class _Fewer(NamedTuple):
+    """What layers ask of an observer one of whose unknowns is given."""
+
+    unknowns: tuple[str, ...]
+    bounded: int
+
+
+class _Given(Layers):
+    """Layers of a friction where another unknown is given at a node."""
+
+    def __init__(self, observer: Observer, axis: Axis, node: int) -> None:
+        super().__init__(observer, TOLERANCE)
+        self._whole = Layers(observer, TOLERANCE)
+        self._at = [a.name for a in self.axes].index(axis.name)
+        self._node = node
+        del self.axes[self._at]
+        names = tuple(n for n in observer.unknowns if n != axis.name)
+        self.observer: Any = _Fewer(names, observer.bounded)
+
+    def tree(self, node: tuple[int, ...]) -> Any:
+        return self._whole.tree((*node[: self._at], self._node, *node[self._at :]))
+
+
+def _sums(
+    observer: Observer, y: Array, covariance: Array | None, axis: Axis | None, node: int
+) -> Iterator[tuple[Index, Sums, Array]]:
+    """Weighted cells of some of the readings, and ln of the evidence that they stand for."""
+    slope = 0.0
+    if axis:
+        y, covariance, slope = axis.asked(y, covariance, node)
+    if len(observer.unknowns) - (axis is not None) == observer.bounded:
+        tree = Layers(observer, TOLERANCE).tree((node,)) if axis else tree_of(observer, TOLERANCE)
+        found = tree.sums(y, covariance, drop=DROP)
+        yield np.arange(len(y)), found, found.log_evidence + slope
+        return
+    layers = _Given(observer, axis, node) if axis else Layers(observer, TOLERANCE)
+    whole = layers.sums(y, covariance, drop=DROP)
+    for key, at in whole.nodes.items():
+        # Nodes of steps that were halved are asked again by the finer ones: all count alike.
+        fine = whole.layers.axes[0].nodes(0)[1] - whole.layers.axes[0].nodes(0)[0]
+        step = fine >> whole.halvings[:, 0]
+        ends = whole.layers.axes[0].nodes(0)[0]
+        for rows, found in at.parts:
+            mine = (key[0] - ends) % step[rows] == 0
+            width = np.log(whole.axes[0].unit * step[rows])
+            yield rows, found, np.where(mine, at.log[rows] + width + slope, -np.inf)
+
+
+def _parts(
+    group: Group, axis: Axis | None, node: int, spans: Array | None
+) -> tuple[list[list[_Part]], Array]:
+    """Of each reading what its posterior is a sum of, and the error of its sums."""
+    out: list[list[_Part]] = [[] for _ in group.readings]
+    error = np.zeros(len(out))
+    for observer in pieces_of(group.observer):
+        for rows, found, log in _sums(observer, group.readings, group.covariance, axis, node):
+            error[rows] = np.maximum(error[rows], np.nan_to_num(found.error, posinf=0.0))
+            for i, one in _layers(found, spans):
+                if np.isfinite(log[i]):
+                    norm = log[i] - found.log_evidence[i]
+                    out[rows[i]].append(one._replace(log=one.log + norm))
+    return out, error
+
+
+def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
+    """ln of the density of each reading over the first coordinate, for each span of the angles.
+
+    It integrates to the evidence.
+    """
+    place = found._places
+    for leaves in found._current():
+        step, data = leaves.level.step, leaves.level.data
+        layer = data[place.place.start, leaves.cell].astype(np.intp)
+        low = np.minimum.reduceat(layer, leaves.first)
+        owner = leaves.owner
+        layer -= low[owner]
+        size = int(layer.max()) + 1
+        top = np.maximum.reduceat(leaves.log, leaves.first)
+        weight = np.exp(leaves.log - top[owner])
+        within = np.ones((1, len(weight)))
+        if spans is not None:
+            contact = data[place.contact][:, leaves.cell].T
+            further = getattr(found.observer, "further", ())
+            own = np.column_stack([contact, np.tile(further, (len(contact), 1))])
+            whole = getattr(found.observer, "observer", found.observer)
+            least, width = whole.space.angle_range(own[:, 0], own)
+            share = (own[:, 1] - least) / np.maximum(width, 1e-300)
+            within = np.exp(-((share / spans[:, None]) ** 4)) / _norms(spans)[:, None]
+        index = owner * size + layer
+        with np.errstate(divide="ignore"):
+            columns = [np.log(np.bincount(index, weight * w, len(low) * size)) for w in within]
+        mass = np.add.reduceat(weight, leaves.first)
+        norm = found.log_evidence[leaves.rows] - np.log(mass) - np.log(step[0])
+        table = np.stack(columns, axis=-1).reshape(len(low), size, -1) + norm[:, None, None]
+        length = np.maximum.reduceat(layer, leaves.first) + 1
+        for row, start, log, end in zip(leaves.rows, low, table, length, strict=True):
+            yield int(row), _Part((start + 0.5) * step[0], step[0], log[:end])
+
+
+def _norms(spans: Array) -> Array:
+    """The mean of exp(−(u/s)⁴) over shares u."""
+    u = (np.arange(2000)[:, None] + 0.5) / 2000
+    return np.asarray(np.exp(-((u / spans) ** 4)).mean(axis=0))
+
+
+class _Curve:
+    """ln of the density of one reading over the first coordinate, (K,) of them, by splines."""
+
+    def __init__(self, parts: list[_Part]) -> None:
+        self.top = max(float(part.log.max()) for part in parts)
+        parts = [part for part in parts if part.log.max() > self.top - DROP]
+        self.low = min(part.start for part in parts)
+        self.high = max(part.start + part.step * (len(part.log) - 1) for part in parts)
+        self._splines = []
+        for start, step, log in parts:
+            place = np.arange(len(log), dtype=float)
+            log = np.maximum(log, log.max() - 60.0)
+            whole = log[:, 0] > log.max() - 59.0
+            if log.shape[1] == 1 and not whole.all():
+                log = np.interp(place, place[whole], log[whole, 0])[:, None]
+            degree = min(5, (len(log) - 2) // 2 * 2 + 1) if len(log) > 1 else 0
+            end = start + step * (len(log) - 1)
+            x = np.linspace(start, end, len(log))
+            self._splines.append((start, end, make_interp_spline(x, log, k=degree)))
+
+    def __call__(self, x: Array) -> Array:
+        """At places (M,), (M, K)."""
+        if len(self._splines) == 1:
+            return np.asarray(self._splines[0][2](x))
+        out: Any = -np.inf
+        for start, end, spline in self._splines:
+            inside = (x >= start) & (x <= end)
+            out = np.logaddexp(out, np.where(inside[:, None], spline(x), -np.inf))
+        return np.asarray(out)
+
+
+# -- products --------------------------------------------------------------------------------------
+
+
+def _products(
+    groups: Sequence[Group], sets: Index, prior: Any, spans: Array | None, axis: Axis | None,
+    node: int,
+) -> list[OneDistance]:  # fmt: skip
+    """The posteriors of sets of readings where a shared unknown is given at a node."""
+    curves: dict[int, list[_Curve | None]] = {int(i): [] for i in sets}
+    errors: dict[int, list[float]] = {int(i): [] for i in sets}
+    for group in groups:
+        rows = np.flatnonzero(np.isin(group.owner, sets))
+        if not rows.size:
+            continue
+        own = None if group.covariance is None else group.covariance[rows]
+        group = group._replace(readings=group.readings[rows], covariance=own)
+        parts, error = _parts(group, axis, node, spans)
+        for row, some, e in zip(rows, parts, error, strict=True):
+            curves[int(group.owner[row])].append(_Curve(some) if some else None)
+            errors[int(group.owner[row])].append(float(e))
+    # Infinitely many sds from every contact, as no tree follows, is no distance in common.
+    observer = groups[0].observer
+    value = float(axis.value(node)) if axis else None
+    return [
+        _product(observer, [c for c in curves[int(i)] if c], prior, value,
+                 float(np.sqrt(np.mean(np.square(errors[int(i)])))))
+        if all(curves[int(i)]) else OneDistance()
+        for i in sets
+    ]  # fmt: skip
+
+
+def _product(
+    observer: Observer, curves: list[_Curve], prior: Any, value: float | None, error: float
+) -> OneDistance:
+    """The posterior of one set."""
+    low, high = max(c.low for c in curves), min(c.high for c in curves)
+    sharp = np.zeros(0)
+    if prior is not None:
+        ends = observer.space.unconstrain_one(np.array(prior.support(), dtype=float), 0)
+        low, high = max(low, float(ends[0])), min(high, float(ends[1]))
+        quantiles = prior.ppf(ndtr(np.linspace(-8.0, 8.0, 257)))
+        steps = leaps(prior)
+        sharp = np.concatenate([quantiles, steps * (1 - 1e-12), steps * (1 + 1e-12)])
+        sharp = observer.space.unconstrain_one(sharp, 0)
+        sharp = sharp[np.isfinite(sharp)]
+    if not low < high:
+        return OneDistance()
+    whole = low, high
+
+    def total(x: Array) -> Array:
+        flat = _log_prior(observer, x, value)
+        out = sum(curve(x) for curve in curves) - (len(curves) - 1) * flat[:, None]
+        if prior is not None:
+            out = out + prior.logpdf(observer.space.distance(x))[:, None]
+        return np.asarray(logsumexp(out, axis=1) - np.log(out.shape[1]))
+
+    def places(count: int) -> Array:
+        x = np.linspace(low, high, count)
+        return np.union1d(x, sharp[(sharp > low) & (sharp < high)]) if sharp.size else x
+
+    for _ in range(20):
+        x = places(65)
+        log = total(x)
+        if not np.isfinite(log.max()):
+            return OneDistance()
+        near = np.flatnonzero(log > log.max() - 36.0)
+        low, high = x[max(near[0] - 1, 0)], x[min(near[-1] + 1, len(x) - 1)]
+        if len(near) > 24:
+            break
+    x = places(385)
+    log = total(x)
+    r, top = observer.space.distance(x), int(log.argmax())
+    weight = np.exp(log - log[top]) * np.gradient(x)
+    mass = weight.sum()
+    mean = float(weight @ r / mass)
+    sd = float(np.sqrt(weight @ (r - mean) ** 2 / mass))
+    # The product may be cut where a reading is no longer followed.
+    share = np.exp(log[[0, -1]] - log[top])
+    cut = (low == whole[0] and share[0] > 1e-4) or (high == whole[1] and share[1] > 1e-4)
+    inside = prior is None and cut and len(curves) > 1
+    density = weight / np.gradient(x) / mass / np.exp(_log_slope(observer, x))
+    worse = max(c.top - float(c(x[top : top + 1]).max()) for c in curves)
+    return OneDistance(
+        mean, sd, r, density, float(log[top] + np.log(mass)), 1.0 if inside else error, (), worse
+    )
+
+
+def _log_slope(observer: Observer, x: Array) -> Array:
+    low, high = observer.reach
+    return np.asarray(constrain_distance(x)[1] + np.log(high - low))
+
+
+def _log_prior(observer: Observer, x: Array, value: float | None) -> Array:
+    """ln of the flat prior of the first coordinate, the angle and its friction integrated out.
+
+    At a value of the shared unknown, which is all further unknowns but for friction.
+    """
+    out, n = _log_slope(observer, x), observer.bounded
+    if n < 2:
+        return out
+    r, names = observer.space.distance(x), observer.unknowns[n:]
+    z = np.linspace(-4.8, 4.8, 25) if "friction_angle" in names else np.zeros(1)
+    contact = np.ones((len(r), len(z), len(observer.unknowns)))
+    contact[..., 0] = r[:, None]
+    for i, name in enumerate(names, n):
+        friction = name == "friction_angle"
+        contact[..., i] = from_normal(observer.prior[name])(z) if friction else value
+    least, held = observer.space.angle_range(contact[..., 0], contact)
+    if "deflection_angle" in observer.prior:
+        angle = observer.prior["deflection_angle"]
+        held = angle.cdf(least + held) - angle.cdf(least)
+    weight = np.exp(-0.5 * z**2)
+    with np.errstate(divide="ignore"):
+        return np.asarray(out + np.log(np.maximum(held @ weight / weight.sum(), 1e-300)))
+
+
+# -- sums over what is shared ----------------------------------------------------------------------
+
+
+def _is_near(known: dict[int, OneDistance], node: int, step: int) -> bool:
+    """Whether a node is new, and beside those that have mass."""
+    if node in known:
+        return False
+    if not known:
+        return True
+    old = 2 * step
+    if any((k - node) % old == 0 for k in known) and len(known) < 3:
+        return True
+    top = max(one.log_evidence for one in known.values())
+    near = [k for k in known if abs(k - node) <= old]
+    return any(known[k].log_evidence > top - 24.0 for k in near)
+
+
+def _summed(
+    axis: Axis, known: dict[int, OneDistance], nodes: Index
+) -> tuple[tuple[float, ...], Array, float]:
+    """Moments of distance and shared unknown over nodes, shares (N,), and the error in sds.
+
+    That is the square of what sums over odd and even nodes differ by.
+    """
+    own = [known.get(k, OneDistance()) for k in nodes.tolist()]
+    log = np.array([one.log_evidence for one in own])
+    if not np.isfinite(log.max()):
+        return (np.nan,) * 4, np.zeros(len(log)), 0.0
+    share = np.exp(log - log.max())
+    share /= share.sum()
+    mean, sd = (np.nan_to_num([getattr(one, n) for one in own]) for n in ("mean", "sd"))
+    value = axis.value(nodes)
+
+    def moments(share: Array) -> tuple[float, float, float, float]:
+        share = share / max(share.sum(), 1e-300)
+        m, v = share @ mean, share @ value
+        return (float(m), float(np.sqrt(share @ (sd**2 + (mean - m) ** 2))), float(v),
+                float(np.sqrt(share @ (value - v) ** 2)))  # fmt: skip
+
+    found = moments(share)
+    error = 0.0
+    odd = np.arange(len(nodes)) % 2 == 1
+    for half in (share * odd, share * ~odd):
+        m, s, v, u = np.abs(np.subtract(moments(half), found))
+        off = max(m, s) / found[1], max(v, u) / max(found[3], 1e-300)
+        error = max(error, abs(2 * half.sum() - 1), *off)
+    return found, share, float(error**2)
+
+
+def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
+    """The posterior over nodes, conditional quantiles of the distance interpolated between them."""
+    nodes = np.array(sorted(known))
+    step = int(np.diff(nodes).min())
+    every = np.arange(nodes[0], nodes[-1] + 1, step)
+    (mean, sd, value, spread), share, error = _summed(axis, known, every)
+    if not np.isfinite(mean):
+        return OneDistance()
+    held = np.flatnonzero([k in known and known[k].sd > 0 for k in every.tolist()])
+    heavy = held[share[held] > 1e-9]
+    first, last = max(heavy[0] - 1, held[0]), min(heavy[-1] + 1, held[-1])
+    own = [known.get(int(k), OneDistance()) for k in every[first : last + 1]]
+    here = np.array([one.sd > 0 for one in own])
+    log = np.array([one.log_evidence for one in own])
+    log = np.maximum(log - log.max(), -45.0)
+    near = np.abs(np.arange(len(own))[:, None] - np.flatnonzero(here)).argmin(axis=1)
+    columns = np.array([one.quantiles(ndtr(SCORES)) for one in own if one.sd > 0])[near]
+    place = np.arange(len(own), dtype=float)
+    fine = np.linspace(0, len(own) - 1, 16 * (len(own) - 1) + 1)
+    degree = min(5, (len(own) - 2) // 2 * 2 + 1)
+    table = make_interp_spline(place, np.column_stack([log, columns]), k=degree)(fine)
+    mass = np.exp(table[:, 0] - table[:, 0].max())
+    quantile = np.maximum.accumulate(table[mass > 1e-9, 1:], axis=1)
+    mass = mass[mass > 1e-9] / mass[mass > 1e-9].sum()
+    r = np.linspace(quantile.min(), quantile.max(), 2001)
+    below = [ndtr(np.interp(r, one, SCORES, -9.0, 9.0)) for one in quantile]
+    best = max(known.values(), key=lambda one: one.log_evidence)
+    at = next(k for k, one in known.items() if one is best)
+    inner = share[held] @ [known[int(k)].error for k in every[held]]
+    return OneDistance(
+        mean, sd, r, np.gradient(mass @ np.array(below), r), 0.0, max(error, float(inner)),
+        (value, spread, float(axis.value(at))), best.worse,
+    )  # fmt: skip
+
+
+def quantiles_of(p: Array, r: Array, density: Array) -> Array:
+    """Quantiles of a density at distances, straight between them."""
+    rise = np.append(0.0, np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(r)))
+    return np.interp(p, rise / rise[-1], r)
