@@ -8,7 +8,7 @@ are no bounds: `constrain` carries x to the contact, `unconstrain` back.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -85,7 +85,7 @@ class ContactCoordinates:
         x = np.asarray(x, dtype=float)
         low, high = self.reach
         out = np.empty((*x.shape[:-1], x.shape[-1] + len(further or ())))
-        for i, value in enumerate(further or (), self.bounded):
+        for i, value in enumerate(further or (), x.shape[-1]):
             out[..., i] = value
         for i in range(self.bounded, x.shape[-1]):
             out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
@@ -106,6 +106,12 @@ class ContactCoordinates:
                     out[..., 1] = np.clip(out[..., 1], *ends)
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         return out, log_jacobian
+
+    def reaching(self, farthest: float) -> ContactCoordinates:
+        """The same with distances that end at another reach, m."""
+        out = replace(self)
+        object.__setattr__(out, "reach", (self.reach[0], farthest))
+        return out
 
     def distance(self, x: Array) -> Array:
         """The radial distances (...), m, at the first coordinate."""

@@ -47,8 +47,12 @@ class Conditional:
 
     def __init__(self, observer: Observer, further: tuple[float, ...]) -> None:
         self.observer, self.further = observer, further
-        self.unknowns, self.noise = observer.unknowns[: observer.bounded], observer.noise
-        self.space, self.is_smooth = observer.space, observer.is_smooth
+        inner = len(observer.unknowns) - len(further)
+        self.unknowns, self.noise = observer.unknowns[:inner], observer.noise
+        self.is_smooth = observer.is_smooth
+        self.space = observer.space
+        if observer.bounded == 1 and observer.space.reach_varies:
+            self.space = observer.space.reaching(observer.farthest_given(further))
         self._hash = hash((observer, further))
 
     def __eq__(self, other: object) -> bool:
@@ -62,18 +66,19 @@ class Conditional:
     def evaluate(self, x: Array) -> Evaluated:
         """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
         with np.errstate(all="ignore"):
-            contact, log_prior = self.observer.contact(x, further=self.further)
+            contact, log_prior = self.observer.contact(x, self.further, self.space)
             signals, outcome = self.observer.signals(contact)
         return evaluated(self.observer, contact, log_prior, signals, outcome)
 
     def contact_at(self, x: Array) -> Array:
         """Contacts (..., U) at coordinates (..., U)."""
         with np.errstate(all="ignore"):
-            return self.observer.contact(x, further=self.further)[0][..., : len(self.unknowns)]
+            whole = self.observer.contact(x, self.further, self.space)[0]
+        return whole[..., : len(self.unknowns)]
 
     def ends(self) -> tuple[Array, Array]:
         """The coordinates between which there is next to all of the prior."""
-        return self.observer.ends()
+        return self.observer.ends(len(self.unknowns))
 
 
 @dataclass(frozen=True)
@@ -172,9 +177,12 @@ class _Node:
 class Layers:
     """Posteriors of an observer some of whose unknowns have priors alone."""
 
-    def __init__(self, observer: Observer, tolerance: float) -> None:
+    def __init__(
+        self, observer: Observer, tolerance: float, inner: int | None = None
+    ) -> None:
         self.observer, self.tolerance = observer, tolerance
-        self.axes = [Axis(name, observer) for name in observer.unknowns[observer.bounded :]]
+        self.inner = observer.bounded if inner is None else inner
+        self.axes = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
 
     def tree(self, node: tuple[int, ...]) -> Any:
         """The tree at a node."""
@@ -243,7 +251,7 @@ class LayeredSums:
     def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
         """Ask the trees of all nodes that may have mass."""
         every = list(product(*map(np.ndarray.tolist, keys)))
-        count, inner = len(self.readings), self.observer.bounded
+        count, inner = len(self.readings), self.layers.inner
         bound = self._bound(keys, rows, *before) if before else None
         for key in every:
             if key not in self.nodes:
@@ -316,12 +324,12 @@ class LayeredSums:
         node.mean[rows], node.sd[rows] = np.nan_to_num(found.mean), np.nan_to_num(found.sd)
         node.error[rows] = np.where(known, found.error, 0.0)
         node.parts.append((rows, found))
-        for unknown in range(self.observer.bounded):
+        for unknown in range(self.layers.inner):
             self._quantiles.pop((key, unknown), None)
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; by how much odd and even ones along each axis differ, (D, n)."""
-        inner, shape = self.observer.bounded, tuple(map(len, keys))
+        inner, shape = self.layers.inner, tuple(map(len, keys))
         log = self._table(keys, rows, "log").reshape(-1, len(rows))
         mean, sd = (self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd"))
         top = log.max(axis=0)
@@ -494,7 +502,7 @@ class LayeredSums:
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
-        inner = self.observer.bounded
+        inner = self.layers.inner
         known = np.flatnonzero(np.isfinite(self.log_evidence))
         if unknown < inner:
             self._refine(known, self._not_smooth)
@@ -574,7 +582,7 @@ class LayeredSums:
         turning = np.flatnonzero(self.observer.cue.circular)
         if not (around and turning.size and self.observer.noise.reads_signals):
             return reading
-        azimuth = contact[:, self.observer.bounded + around[0]]
+        azimuth = contact[:, self.layers.inner + around[0]]
         out = np.tile(reading, (len(contact), 1))
         out[:, turning] -= 2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
         return out

@@ -13,6 +13,7 @@ from .. import domain
 from .._checks import kind, one_of, positive_number
 from .._values import Array, Flags, member
 from ..receptors import Seed
+from .coordinates import is_all_around
 from .laplace import laplace
 from .observer import Observer
 from .quadrature import quadrature
@@ -41,13 +42,12 @@ def posterior(
         Quadrature is the reference, exact to `tolerance`.
         emcee samples many posteriors stacked in one run, and owes nothing to quadrature, which it
         can so check. Laplace is the Gaussian at the mode, and says where that will not do. An
-        unknown that shares no signal with the others (`SpaceMap`'s azimuth) is integrated by
-        itself, whatever the method.
+        azimuth next to the end of its range they cannot follow around, and say so.
     seed : int, SeedSequence or Generator
         Of emcee's walkers; NumPy's global state is neither read nor changed.
     tolerance : float, optional
-        Error of mean and sd asked for, over the sd. Default 1e-6 (quadrature in one dimension),
-        1e-2 (in two; 1e-4 at some five times the cost), 2 % and 3 % (emcee).
+        Largest error of mean and sd, over the sd. Default 2e-3 (quadrature; 1e-4 at about twice
+        the cost), 2 % and 3 % (emcee, one and more unknowns).
     progress : callable, optional
         Called with (posteriors done, posteriors in all).
 
@@ -88,6 +88,9 @@ def posterior(
         solution = _of_nothing(len(observer.unknowns))
     else:
         solution = solve(observer, rows[known], seed, tolerance, progress)
+        cut = _cut_off(observer, solution) & (solution.status == Status.CONVERGED)
+        cut &= method != "quadrature"  # which knows no ends there
+        solution.status[cut] = Status.NOT_CONVERGED if method == "emcee" else Status.NOT_GAUSSIAN
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -122,6 +125,16 @@ def _solver(method: str) -> Any:
 
         return sample
     return laplace
+
+
+def _cut_off(observer: Observer, solution: Solution) -> Flags:
+    """Posteriors (B,) of an azimuth that may be any, whose mass reaches the end of its range."""
+    names = observer.unknowns
+    if "azimuth" not in names or not is_all_around(observer.prior["azimuth"]):
+        return np.zeros(len(solution.status), dtype=bool)
+    found = solution.estimates[names.index("azimuth")]
+    off = np.abs(found.mean - observer.prior["azimuth"].median())
+    return np.asarray(off + 5 * found.sd > np.pi)
 
 
 def _of_no_contact(observer: Observer, reading: Array) -> Flags:

@@ -299,7 +299,10 @@ class Observer:
     # -- coordinates ---------------------------------------------------------------------------
 
     def contact(
-        self, x: ArrayLike, further: Sequence[Any] | None = None
+        self,
+        x: ArrayLike,
+        further: Sequence[Any] | None = None,
+        space: ContactCoordinates | None = None,
     ) -> tuple[Array, Array]:
         """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
 
@@ -308,7 +311,7 @@ class Observer:
         the contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
-        out, log_prior = self.space.constrain(x, further)
+        out, log_prior = (space or self.space).constrain(x, further)
         for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
@@ -334,10 +337,32 @@ class Observer:
         with np.errstate(all="ignore"):
             return self.space.constrain(x)[0]
 
-    def ends(self) -> tuple[Array, Array]:
+    @property
+    def inner(self) -> int:
+        """How many unknowns a tree takes: those that the whisker bounds, or two if there are.
+
+        Where the reach depends on a further unknown that one has layers.
+        """
+        return max(self.bounded, min(len(self.unknowns), 1 if self.space.reach_varies else 2))
+
+    def farthest_given(self, further: Sequence[float]) -> float:
+        """The largest distance at which contact is held, other unknowns being given, m."""
+        low, high = self.reach
+        for _ in range(5):  # to a millionth of a millionth of the reach
+            r = np.linspace(low, high, 258)[1:-1]
+            contact = np.column_stack([r, np.tile(further, (len(r), 1))])
+            held = np.flatnonzero(self.signals(contact)[1] == Outcome.HELD)
+            if not held.size or held[-1] == len(r) - 1:
+                break
+            low, high = r[held[-1]], r[held[-1] + 1]
+        return float(high if not held.size or held[-1] == len(r) - 1 else low)
+
+    def ends(self, unknowns: int | None = None) -> tuple[Array, Array]:
         """The coordinates (U,) between which there is next to all of the prior."""
         x = self.space.spread(ENDS)[:, : self.bounded]
-        return x.min(axis=0), x.max(axis=0)
+        further = (len(self.unknowns) if unknowns is None else unknowns) - self.bounded
+        low, high = x.min(axis=0), x.max(axis=0)
+        return np.append(low, [-4.8] * further), np.append(high, [4.8] * further)
 
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""

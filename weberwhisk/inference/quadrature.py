@@ -48,8 +48,9 @@ def sums_of(
     if len(pieces) > 1:
         parts = [sums_of(p, readings, covariance, tolerance=tolerance, drop=drop) for p in pieces]
         return PiecewiseSums(observer, parts)
-    if len(observer.unknowns) > observer.bounded:
-        return Layers(observer, tolerance).sums(readings, covariance, drop=drop)
+    if len(observer.unknowns) > observer.inner:
+        layers = Layers(observer, tolerance, observer.inner)
+        return layers.sums(readings, covariance, drop=drop)
     return tree_of(observer, tolerance).sums(readings, covariance, drop=drop)
 
 
