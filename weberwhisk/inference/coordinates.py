@@ -75,9 +75,7 @@ class ContactCoordinates:
             )
         return low, high
 
-    def constrain(
-        self, x: ArrayLike, further: Sequence[Any] | None = None
-    ) -> tuple[Array, Array]:
+    def constrain(self, x: ArrayLike, further: Sequence[Any] | None = None) -> tuple[Array, Array]:
         """The contact (..., U) at x (..., U), and ln|d contact/dx| of the bounded unknowns (...).
 
         Of the first unknowns alone where x has fewer, unless `further` has the others' values.

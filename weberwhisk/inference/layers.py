@@ -177,9 +177,7 @@ class _Node:
 class Layers:
     """Posteriors of an observer some of whose unknowns have priors alone."""
 
-    def __init__(
-        self, observer: Observer, tolerance: float, inner: int | None = None
-    ) -> None:
+    def __init__(self, observer: Observer, tolerance: float, inner: int | None = None) -> None:
         self.observer, self.tolerance = observer, tolerance
         self.inner = observer.bounded if inner is None else inner
         self.axes = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
@@ -245,7 +243,9 @@ class LayeredSums:
 
     def _table(self, keys: list[Index], rows: Index, name: str) -> Array:
         """A column of all nodes (..., n), or (..., n, U)."""
-        parts = [getattr(self.nodes[key], name)[rows] for key in product(*map(np.ndarray.tolist, keys))]
+        parts = [
+            getattr(self.nodes[key], name)[rows] for key in product(*map(np.ndarray.tolist, keys))
+        ]
         return np.stack(parts).reshape(*map(len, keys), *parts[0].shape)
 
     def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
@@ -331,7 +331,9 @@ class LayeredSums:
         """Sum over nodes; by how much odd and even ones along each axis differ, (D, n)."""
         inner, shape = self.layers.inner, tuple(map(len, keys))
         log = self._table(keys, rows, "log").reshape(-1, len(rows))
-        mean, sd = (self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd"))
+        mean, sd = (
+            self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd")
+        )
         top = log.max(axis=0)
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(top), np.exp(log - top), 0.0)
@@ -584,7 +586,9 @@ class LayeredSums:
             return reading
         azimuth = contact[:, self.layers.inner + around[0]]
         out = np.tile(reading, (len(contact), 1))
-        out[:, turning] -= 2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
+        out[:, turning] -= (
+            2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
+        )
         return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -143,8 +143,7 @@ def pieces_of(observer: Observer) -> list[Observer]:
         low, high = observer.reach if name == "radial_distance" else prior.support()
         inside = at[(at > low) & (at < high)]
         edges = np.concatenate([[low], inside, [high]])
-        pairs = zip(edges[:-1], edges[1:], strict=True)
-        some = [(a, b) for a, b in pairs if prior.cdf(b) > prior.cdf(a)]
+        some = [(a, b) for a, b in pairwise(edges) if prior.cdf(b) > prior.cdf(a)]
         choices.append([(name, _Within(prior, float(a), float(b))) for a, b in some])
     return [
         replace(observer, prior={**observer.prior, **dict(chosen)}, noise=observer.noise)
@@ -190,7 +189,9 @@ class PiecewiseSums:
                     own = low, high, share[row] * mass / mass.sum()
                     every.setdefault(int(row), []).append(own)
         for row, pieces in sorted(every.items()):
-            yield Spans(np.array([row]), *(np.concatenate(c)[None] for c in zip(*pieces, strict=True)))
+            yield Spans(
+                np.array([row]), *(np.concatenate(c)[None] for c in zip(*pieces, strict=True))
+            )
 
     def quantiles(self, p: Array, unknown: int) -> Array:
         """Quantiles (B, Q) of an unknown."""

@@ -296,7 +296,6 @@ class Solution(NamedTuple):
         )
 
 
-
 def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Estimate]) -> Flags:
     """Readings (B, R) that may be of a tip beyond where it is at rest, which no observer knows.
 

@@ -73,7 +73,6 @@ class Touches:
         return float(low), float(high)
 
 
-
 def touches(observer: Observer, readings: ArrayLike) -> Touches:
     """The posterior of the radial distance from several touches of it.
 
@@ -149,9 +148,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         mean, sd, _ = found.shared
         named[shared[0]] = mean, sd
     status = _status(observer, y, found)
-    return Touches(
-        observer, len(y), found.mean, found.sd, status, found.r, found.density, named
-    )
+    return Touches(observer, len(y), found.mean, found.sd, status, found.r, found.density, named)
 
 
 def _status(observer: Observer, y: Array, found: OneDistance) -> Status:

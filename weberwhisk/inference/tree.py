@@ -24,8 +24,8 @@ from ..receptors import ReceptorNoise
 from .observer import Evaluated
 from .weighted import Leaves, Sums
 
-#: Step of the first cells, in the observer's coordinates; a sixteenth with one unknown. At 1.0 narrow parts of posteriors of
-#: whiskers that rub were not found (19 of 225 readings); at 0.5 none of 2000 were.
+#: Step of the first cells, in the observer's coordinates; a sixteenth of it with one unknown. At
+#: 1.0 narrow parts of posteriors of whiskers that rub were not found (19 of 225 readings); at 0.5 none of 2000 were.
 ROOT_STEP = 0.5
 #: Cells whose density is so many nats below the highest are left out. At 15, 2 of 225 posteriors
 #: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
@@ -79,7 +79,7 @@ class GaussianTerm:
         return mean, sd
 
     def readings(self, readings: Array) -> tuple[Array, Array]:
-        """Readings (B, R) on the axis on which they are Gaussian, (size, B), and ln of the slope."""
+        """Readings (B, R) on the axis on which they are Gaussian (size, B), ln of its slope (B,)."""
         pairs = [part.noise.to_gaussian(readings[:, part.readings]) for part in self.parts]
         columns, log_slope = zip(*pairs, strict=True)
         return np.concatenate(columns, axis=1).T.copy(), np.asarray(sum(log_slope))
@@ -205,9 +205,7 @@ class Tree:
         self.scores, self.smooth = scores, self.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
-        self.rows = _Rows(
-            self.unknowns, self.size, self.features, signals if self.others else 0
-        )
+        self.rows = _Rows(self.unknowns, self.size, self.features, signals if self.others else 0)
 
     def _features(self, at: Evaluated) -> tuple[Array, Array]:
         """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
@@ -252,7 +250,9 @@ class Tree:
             own = (2.5 * level.step) ** 2
             square = np.square(change[..., :-1] / scale).sum(axis=2) + own[:, None]
             out[rows.length], out[rows.rise] = np.sqrt(square), rise
-            other = total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]
+            other = (
+                total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]
+            )
             out[rows.other_length] = np.sqrt(np.square(other).sum(axis=1))
         if self.others:
             out[rows.signals] = at.signals.T
@@ -296,7 +296,7 @@ class Tree:
             middle, inside = grid[centre], held[centre]
 
             def off(corner: Sequence[int]) -> Array:
-                """How far features at a corner (0, 1 or 2 along each axis) are from the middle's."""
+                """How far features at a corner (0, 1 or 2 along each axis) are off the middle's."""
                 with np.errstate(invalid="ignore"):
                     value = np.abs(grid[moved(corner)] - middle)
                     value[..., -1] = np.maximum(grid[moved(corner)] - middle, 0.0)[..., -1]
@@ -323,7 +323,7 @@ class Tree:
         return self._start
 
     def _split(self, level: Level, pattern: tuple[int, ...], cells: Index) -> tuple[Level, Index]:
-        """The halves of cells (P,) along the axes of a pattern: their level, the first of each's."""
+        """Halves of cells (P,) along the axes of a pattern: their level, and the first of each."""
         unknowns, shape = self.unknowns, tuple(1 + p for p in pattern)
         parts = int(np.prod(shape))
         child, first = level.children.get(pattern) or (
@@ -449,9 +449,7 @@ class _Walk:
             task = todo.pop()
             log = self._log(task.level, task.row, task.cell, blurred=not task.last)
             first = np.flatnonzero(np.diff(task.row, prepend=-1))
-            top = np.repeat(
-                np.maximum.reduceat(log, first), np.diff(first, append=len(task.row))
-            )
+            top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(task.row)))
             with np.errstate(invalid="ignore"):
                 depth = log - top
                 if not task.last:
@@ -495,7 +493,8 @@ class _Walk:
     def _log_measured(self, level: Level, row: Index, cell: Index, blurred: bool) -> Array:
         """The same with each reading's own covariance of measurement errors, by Cholesky's root."""
         tree, rows, data, size = self.tree, self.tree.rows, level.data, self.tree.size
-        assert tree.gaussian and self.covariance is not None
+        assert tree.gaussian
+        assert self.covariance is not None
         sd = 1 / data[rows.precision][:, cell]
         own, correlation = self.covariance[row], tree.gaussian.correlation
         blur = 0.0
@@ -575,9 +574,7 @@ class _Walk:
             tasks.append(_Task(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
         return tasks
 
-    def _sum(
-        self, level: Level, row: Index, cell: Index, log: Array, depth: Array
-    ) -> list[_Task]:
+    def _sum(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[_Task]:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
@@ -593,7 +590,7 @@ class _Walk:
         some = np.repeat(~stop, counts)
         left = counts[~stop]
         none = np.zeros(len(left), dtype=bool)
-        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], none, ~none)
+        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], none, np.logical_not(none))
 
 
 def _has_gaussian(components: Sequence[Any]) -> bool:

@@ -208,9 +208,7 @@ class Sums:
                 log = np.log(mass.reshape(-1, count)) + top[:, None]
             yield leaves.rows, (low + 0.5) * step[0], step[0], log + np.log(step[1:]).sum()
 
-    def spans(
-        self, unknown: int, stride: int = 1, among: Flags | None = None
-    ) -> Iterator[Spans]:
+    def spans(self, unknown: int, stride: int = 1, among: Flags | None = None) -> Iterator[Spans]:
         """Spans of an unknown, for some readings at a time, `among` (B,) alone if given.
 
         At every second point with a stride of 2.
