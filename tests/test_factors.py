@@ -9,7 +9,6 @@ from weberwhisk import Status
 from weberwhisk.cues import ForceMap, SpaceMap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.methods import factors_of
 from weberwhisk.receptors import GeneralisedWeber, Joint
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -75,19 +74,11 @@ def test_directions_that_contradict_each_other_are_improbable():
     assert ww.posterior(observer, y).status.tolist() == [0, Status.IMPROBABLE_READING]
 
 
-@pytest.mark.parametrize(("sizes", "apart"), [([3, 2], 2), ([3, 1, 1], 2), ([4, 1], None)])
-def test_noise_of_either_kind_of_signal_must_be_apart_too(sizes, apart):
-    found = factors_of(ww.Observer(W, SpaceMap(), noise_of(sizes)))
-    assert (found and found.signals) == apart
-
-
-def test_what_does_not_come_apart_is_integrated_whole():
-    assert factors_of(ww.Observer(W, ForceMap())) is None
+def test_noise_of_all_signals_in_one_says_the_same():
     whole = ww.Observer(
         W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[*FORCES.floor, FLOOR, FLOOR])
     )
     split = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
-    assert factors_of(whole) is None
     y = readings(split, 5)
     y = y[np.abs(y[:, 3]) < 2.8]
     a, b = ww.posterior(whole, y), ww.posterior(split, y)

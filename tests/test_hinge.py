@@ -14,7 +14,6 @@ from weberwhisk.contacts.calibration import HingedTap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.nodes import conditional
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics import closed_form, elastica
 from weberwhisk.mechanics.contact import Outcome
@@ -209,7 +208,8 @@ def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
     found, alone = ww.posterior(space, reading), ww.posterior(flat, reading[:3])
     assert found.status.name == "CONVERGED"
     for name, estimate in alone.estimates.items():
-        assert found.estimates[name][:2] == estimate[:2]
+        assert found.estimates[name].mean == pytest.approx(estimate.mean, abs=4e-3 * estimate.sd)
+        assert found.estimates[name].sd == pytest.approx(estimate.sd, rel=4e-3)
     if spread:
         return
     axes = [e.mean + e.sd * np.linspace(-5.5, 5.5, 41) for e in found.estimates.values()]
@@ -222,17 +222,6 @@ def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
         sd = np.sqrt((weight * (place[..., i] - mean) ** 2).sum() / weight.sum())
         assert abs(estimate.mean - mean) < 2e-3 * sd
         assert abs(estimate.sd / sd - 1) < 2e-3
-
-
-def test_nodes_of_an_unknown_hinge_hold_what_its_observer_holds():
-    """Beyond half a turn on a soft hinge: next to the base angles were 0.7 sd off, converged."""
-    observer = ww.Observer(hinged(), cues.UnknownHinge(cues.ForceMap(), 0.3))
-    soft = conditional(observer, "hinge_stiffness", -3.5)
-    place = np.array([[6e-3, 1.0], [6e-3, 4.5], [6e-3, 9.0], [40e-3, 0.2]])
-    found, outcome = soft.signals(place)
-    own, held = observer.signals(np.insert(place, 2, soft.cue.value, axis=1))
-    assert outcome.tolist() == held.tolist() == [0, 0, Outcome.FLICKED_PAST, 0]
-    np.testing.assert_allclose(found, own, rtol=1e-9)
 
 
 def test_what_a_shape_at_rest_does_in_space_to_a_whisker_on_a_hinge_is_unknown():
