@@ -267,7 +267,8 @@ def test_priors_of_all_kinds_are_summed(prior, r, theta):
     """Beside midpoints of distance and angle."""
     observer = ww.Observer(W, ForceMap(), Weber(0.2), prior)
     reading = observer.noise.sample(observer.signals([31e-3, 0.2])[0], 3)
-    middles = [a + (b - a) * (np.arange(800) + 0.5) / 800 for a, b in (r, theta)]
+    counts = zip((r, theta), (400, 4000), strict=True)
+    middles = [a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in counts]
     contact = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1)
     log = observer.log_likelihood(reading, contact)
     for i, name in enumerate(observer.unknowns):
