@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap, Friction, Fused, Vibration
+from weberwhisk.cues import (
+    Compliance,
+    ForceMap,
+    Friction,
+    Fused,
+    SpaceMap,
+    UnknownCurvature,
+    UnknownHinge,
+    UnknownRoll,
+    UnknownStiffness,
+    Vibration,
+)
 from weberwhisk.inference import default_noise, tree
 from weberwhisk.inference.quadrature import TOLERANCE, sums_of
 from weberwhisk.jnd import prior_draws
@@ -36,6 +47,27 @@ def random_observer(rng: np.random.Generator) -> ww.Observer:
         except ValueError:  # a combination that observers do not take
             continue
         return observer
+
+
+#: Observers of unknowns that have priors alone, by name.
+LAYERED = {
+    "stiffness": (0.0, UnknownStiffness(ForceMap(), 0.3)),
+    "curvature": (8.0, UnknownCurvature(ForceMap(), 2.0)),
+    "friction": (8.0, Friction(ForceMap())),
+    "hinge": (0.0, UnknownHinge(ForceMap(), 0.3)),
+    "tap": (8.0, UnknownCurvature(Compliance(tap_angle=0.1), 2.0)),
+    "space": (0.0, SpaceMap()),
+    "curved space": (8.0, SpaceMap()),
+    "roll": (8.0, UnknownRoll(SpaceMap(), 0.3)),
+}
+
+
+def layered_observer(name: str, k: float) -> ww.Observer:
+    """One of `LAYERED`, its Weber fraction k."""
+    bow, cue = LAYERED[name]
+    hinge = 2e-5 if name == "hinge" else None
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=bow, hinge_stiffness=hinge)
+    return ww.Observer(whisker, cue, default_noise(whisker, cue, k))
 
 
 def readings_of(observer: ww.Observer, count: int, rng: np.random.Generator) -> tuple[Any, Any]:
@@ -83,17 +115,34 @@ def shifted(observer: ww.Observer, reading: Any, tolerance: float = TOLERANCE) -
     return off, claimed
 
 
-def evidence_ratio(observer: ww.Observer, reading: Any, draws: int, seed: int) -> tuple[Any, Any]:
-    """ln of evidence over mean likelihood of draws of the prior (n,), and its Monte Carlo error.
+def importance(observer: ww.Observer, reading: Any, draws: int, seed: int) -> dict[str, Any]:
+    """Posteriors beside draws of the prior, weighed by their likelihood, of readings (n, R).
 
-    The same for all readings: ln of the size of the domain, whose flat prior counts as 1.
+    Returns ln of evidence over the mean likelihood "log_ratio" (n,), the same for all readings: ln
+    of the size of the domain, whose flat priors count as 1; its Monte Carlo error "error" (n,); and
+    how far means are from those of the draws, in Monte Carlo errors, "mean_off" (n, U). An azimuth
+    is counted in whole turns to be near its mean.
     """
     drawn = prior_draws(observer, draws, seed=seed)
     signals, outcome = observer.signals(drawn)
-    signals = signals[outcome == ww.Outcome.HELD]
-    evidence, out, error = sums_of(observer, reading).log_evidence, [], []
-    for y, log in zip(reading, evidence, strict=True):
-        likelihood = np.exp(observer.noise.log_likelihood(y, signals) - log)
-        out.append(-np.log(likelihood.mean()))
-        error.append(likelihood.std() / likelihood.mean() / np.sqrt(len(likelihood)))
-    return np.array(out), np.array(error)
+    held = outcome == ww.Outcome.HELD
+    drawn, signals = drawn[held], signals[held]
+    found, circular = sums_of(observer, reading), np.flatnonzero(observer.cue.circular)
+    ratio, error, off = [], [], []
+    for y, log, middle, sd in zip(
+        reading, found.log_evidence, found.mean, found.sd, strict=True
+    ):
+        near, value = np.tile(y, (len(signals), 1)), drawn - middle
+        if circular.size:
+            at = observer.unknowns.index("azimuth")
+            value[:, at] -= 2 * np.pi * np.round(value[:, at] / (2 * np.pi))
+            apart = near[:, circular] - signals[:, circular]
+            near[:, circular] -= 2 * np.pi * np.round(apart / (2 * np.pi))
+        weight = np.exp(observer.noise.log_likelihood(near, signals) - log)
+        ratio.append(-np.log(weight.mean()))
+        error.append(weight.std() / weight.mean() / np.sqrt(len(weight)))
+        share = weight / weight.sum()
+        mean = share @ value
+        scatter = np.sqrt(share**2 @ (value - mean) ** 2)
+        off.append(np.abs(mean) / np.maximum(scatter, 1e-9 * sd))
+    return {"log_ratio": np.array(ratio), "error": np.array(error), "mean_off": np.array(off)}

@@ -49,7 +49,8 @@ def test_each_factor_is_what_it_is_alone(method):
     near = 1e-2 if method == "quadrature" else 0.3
     assert np.array_equal(p.status, alone.status)
     assert np.allclose(p.sd, alone.sd, rtol=near)
-    assert np.all(np.abs(p.quantile([0.1, 0.9]) - alone.quantile([0.1, 0.9])) < near * p.sd[:, None])
+    ends = p.quantile([0.1, 0.9]), alone.quantile([0.1, 0.9])
+    assert np.all(np.abs(ends[0] - ends[1]) < near * p.sd[:, None])
     if method == "quadrature":
         apart = (y[:, 3] - y[:, 4]) / np.sqrt(2)
         # Of two readings, N(ȳ; ω, s²/2) N(d; 0, s²) and the Jacobian 1/√2 of (ȳ, d).

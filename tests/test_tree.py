@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from analysis_scripts import load
-from audit import evidence_ratio, lost, random_observer, readings_of, shifted
+from audit import (
+    LAYERED,
+    importance,
+    layered_observer,
+    lost,
+    random_observer,
+    readings_of,
+    shifted,
+)
 from scipy import stats
 from scipy.special import logit
 from short_forms import slow_but
@@ -21,7 +29,14 @@ from weberwhisk.cues import (
     Vibration,
 )
 from weberwhisk.jnd import prior_draws
-from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.receptors import (
+    Afferents,
+    GeneralisedWeber,
+    LogNormal,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
 
 fusions = load("stability_whiskers")
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -285,6 +300,30 @@ def test_priors_of_all_kinds_are_summed(prior, r, theta):
         assert estimate.sd == pytest.approx(sd, rel=PROMISED)
 
 
+@pytest.mark.parametrize(
+    "noise",
+    [
+        LogNormal(0.1),
+        Saturating(0.1, ceiling=[3e-5, 3e-3]),
+        SpikeCount(Afferents(30, [1e-8, 1e-7], [1e-4, 1e-2])),
+        SpikeCount(Afferents(4, [1e-8, 1e-7], [1e-4, 1e-2]), gain_sd=0.3),
+    ],
+    ids=["log-normal", "saturating", "spikes", "few spikes"],
+)
+def test_receptors_that_are_not_gaussian_are_summed(noise):
+    """Moments beside midpoints, and draws beside moments."""
+    observer = ww.Observer(W, ForceMap(), noise)
+    reading = observer.read([[20e-3, 0.2], [40e-3, 0.1]], seed=4)
+    off = worst(observer, reading, fine=300)
+    assert len(off) > 0
+    assert off.max() < 1
+    p = ww.posterior(observer, reading)
+    for i, estimate in enumerate(p.estimates.values()):
+        draws = p.draws_of(1000, 1)[..., i].reshape(2, -1)
+        assert np.abs(draws.mean(axis=1) - estimate.mean).max() < 0.1 * estimate.sd.max()
+        assert draws.std(axis=1) == pytest.approx(estimate.sd, rel=0.1)
+
+
 def test_one_reading_and_many_have_the_same_posterior():
     observer = ww.Observer(W, ForceMap())
     readings = observer.read(prior_draws(observer, 200, seed=1), seed=2)
@@ -477,7 +516,25 @@ def test_random_observers_pass_the_audit(seed):
     assert np.isfinite(off[:, 0]).mean() > 0.9
     assert np.nanmax(off) < PROMISED, (observer, reading[np.nanargmax(off.max(axis=1))])
     assert np.all(claimed[np.isfinite(off[:, 0])] <= PROMISED)
-    ratio, error = evidence_ratio(observer, reading[:10], 50_000, seed)
-    sure = error < 0.1
-    middle = np.median(ratio[sure])
-    assert np.all(np.abs(ratio - middle)[sure] < 4.5 * error[sure] + 0.01)
+    agrees_with_draws(observer, reading[:10], seed)
+
+
+def agrees_with_draws(observer, reading, seed, draws=50_000):
+    """Evidence and means beside importance sampling, where enough draws count."""
+    found = importance(observer, reading, draws, seed)
+    sure = found["error"] < 0.1
+    assert sure.sum() > 2
+    ratio, error = found["log_ratio"][sure], found["error"][sure]
+    assert np.all(np.abs(ratio - np.median(ratio)) < 4.5 * error + 0.01)
+    assert found["mean_off"][sure].max() < 4.5
+
+
+@pytest.mark.parametrize("name", slow_but(LAYERED, (0, 4, 5)))
+def test_layers_pass_the_audit(name):
+    """Unknowns that have priors alone: other cells; evidence and means of draws."""
+    observer, rng = layered_observer(name, 0.2), np.random.default_rng(1)
+    _, reading = readings_of(observer, 12, rng)
+    off, _ = shifted(observer, reading[:6])
+    assert np.isfinite(off[:, 0]).sum() > 3
+    assert np.nanmax(off) < PROMISED
+    agrees_with_draws(observer, reading, 1, draws=200_000)
