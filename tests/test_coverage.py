@@ -4,6 +4,7 @@ Cues of one unknown are held to it next to their other tests.
 """
 
 import pytest
+from audit import LAYERED, layered_observer
 from cue_checks import SDS, agrees_with_brute_force, coverage
 from scipy import stats
 from short_forms import slow_but
@@ -73,6 +74,16 @@ def test_of_two_thousand_intervals_93_5_to_96_5_per_cent_cover(name):
     share = share_covered(name, 2000)
     print(f"{name}: {share:.2%}")
     assert 0.935 <= share <= 0.965
+
+
+@pytest.mark.parametrize(
+    ("name", "n"),
+    [("tap", 200), *(pytest.param(n, 2000, marks=pytest.mark.slow) for n in LAYERED)],
+)
+def test_intervals_cover_whatever_else_is_unknown(name, n):
+    observer = layered_observer(name, 0.1)
+    share = coverage(observer, prior_draws(observer, n, seed=1), seed=2)
+    assert abs(share - 0.95) < (0.015 if n == 2000 else SDS * np.sqrt(0.95 * 0.05 / n))
 
 
 FORCES = default_noise(W, UnknownStiffness(ForceMap(SIGNALS), 0.1), 0.05)
