@@ -3,6 +3,7 @@
 Cues of one unknown are held to it next to their other tests.
 """
 
+import numpy as np
 import pytest
 from audit import LAYERED, layered_observer
 from cue_checks import SDS, agrees_with_brute_force, coverage
