@@ -23,7 +23,7 @@ from weberwhisk.inference import default_noise, tree
 from weberwhisk.inference.quadrature import TOLERANCE, sums_of
 from weberwhisk.jnd import prior_draws
 
-#: Fine enough for every contact that has a share in the posterior.
+#: Contacts so many nats below the highest density must have a cell.
 NATS = 15.0
 #: Another step of the first cells, with which every later cell is elsewhere.
 OTHER_STEP = 0.43
