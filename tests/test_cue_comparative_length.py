@@ -92,8 +92,9 @@ def test_a_longer_whisker_that_touches_alone_puts_the_object_between_the_lengths
     """§2b, with bases side by side and everything known: an interval."""
     cue = sure([45e-3], [[0.0, 1e-5]])
     p = ww.posterior(ww.Observer(W, cue), [0, 1])
-    assert p.mean == pytest.approx((W.length + 45e-3) / 2, rel=1e-4)
-    assert p.sd == pytest.approx((45e-3 - W.length) / np.sqrt(12), rel=1e-3)
+    sd = (45e-3 - W.length) / np.sqrt(12)
+    assert p.mean == pytest.approx((W.length + 45e-3) / 2, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
     low, high, outcome = cue.interval(W, [0, 1])
     assert (low, high) == pytest.approx((W.length, 45e-3), rel=1e-6)
     assert outcome == Outcome.HELD
@@ -111,7 +112,7 @@ def test_a_shorter_whisker_can_touch_what_a_longer_one_does_not():
     r = np.array([30e-3])
     assert behind.signals(W, r)[0][2] == pytest.approx(1, abs=1e-9)  # the shorter alone
     p = ww.posterior(ww.Observer(W, behind), [1, 0])
-    assert p.interval(0.95) == pytest.approx([25.215e-3, 33.385e-3], rel=1e-3)
+    assert p.interval(0.95) == pytest.approx([25.215e-3, 33.385e-3], abs=2.5e-5)
     # The longer one is not swept so far forward: its sector ends before the object's direction.
     beside = sure([45e-3], [[0.0, -5e-3]], sweeps=np.radians([[-60, 60], [-60, 20]]))
     cut = 5e-3 / np.tan(np.radians(20))  # nearer than this the object is past its sector
@@ -158,8 +159,8 @@ def test_the_posterior_is_the_brute_force_integral(cue):
         p = ww.posterior(observer, touches)
         mean, sd = moments_by_midpoints(observer, touches, 4001)
         assert p.status == 0
-        assert p.mean == pytest.approx(mean, abs=1e-4 * sd)
-        assert p.sd == pytest.approx(sd, rel=1e-4)
+        assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
+        assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
 @EVERY

@@ -177,7 +177,6 @@ def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unkno
 
 @pytest.mark.parametrize("wrapped", [UnknownStiffness, Friction])
 def test_an_unknown_of_the_sizes_leaves_the_azimuth_to_itself(wrapped):
-    """With a stiffness it took a plain grid of four unknowns, seconds a reading."""
     found, alone = (
         ww.posterior(ww.Observer(W, wrapped(cue), noise), reading)
         for cue, noise, reading in (
@@ -185,12 +184,12 @@ def test_an_unknown_of_the_sizes_leaves_the_azimuth_to_itself(wrapped):
             (ForceMap(SIGNALS), FLOORED.noises[0], np.array([1.9e-6, 2.1e-5, 5.5e-5])),
         )
     )
-    assert found.estimates["azimuth"].mean == pytest.approx(1.15, abs=1e-6)
-    for name in alone.estimates:
-        assert found.estimates[name][:2] == alone.estimates[name][:2]
-        assert found.interval(of=name) == pytest.approx(alone.interval(of=name))
-    directions = UnknownStiffness(SpaceMap(), soft_signals=["moment", "force_direction"])
-    assert directions.all_but_one is None
+    assert found.estimates["azimuth"].mean == pytest.approx(1.15, abs=1e-4)
+    for name, exact in alone.estimates.items():
+        assert found.estimates[name].mean == pytest.approx(exact.mean, abs=4e-3 * exact.sd)
+        assert found.estimates[name].sd == pytest.approx(exact.sd, rel=4e-3)
+        ends = alone.interval(of=name)
+        assert found.interval(of=name) == pytest.approx(ends, abs=2e-2 * exact.sd)
 
 
 def test_a_curved_whisker_keeps_the_protocol():
@@ -646,7 +645,7 @@ def test_draws_and_laplace_agree_with_the_sums_of_an_unknown_roll():
 
 @pytest.mark.slow
 def test_an_unknown_stiffness_is_summed_on_a_curved_whisker_in_space_too():
-    """It met an IndexError: a grid of four unknowns serves it."""
+    """It met an IndexError."""
     observer = ww.Observer(CURVED, UnknownStiffness(SpaceMap(), 0.2))
     found = ww.posterior(observer, observer.read([30e-3, 0.25, 2.0, 1.1], seed=4))
     assert found.status == ww.Status.CONVERGED

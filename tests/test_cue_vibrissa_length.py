@@ -63,9 +63,9 @@ def test_the_posterior_is_the_brute_force_integral(cue, event):
     p = ww.posterior(observer, event)
     mean, sd = moments_by_midpoints(observer, event)
     assert p.status == 0
-    assert p.mean == pytest.approx(mean, abs=1e-6 * sd)
-    assert p.sd == pytest.approx(sd, rel=1e-6)
-    assert max(p.mean_error, p.sd_error) < 1e-6 * p.sd
+    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
+    assert max(p.mean_error, p.sd_error) < 2e-3 * p.sd
 
 
 def test_the_shafts_posterior_has_the_closed_form_of_a_log_normal_length():
@@ -75,9 +75,9 @@ def test_the_shafts_posterior_has_the_closed_form_of_a_log_normal_length():
     first, second, third = (length.moment(n) for n in (1, 2, 3))
     mean = second / (2 * first)
     p = ww.posterior(ww.Observer(W, cue), SHAFT)
-    # The axis of x begins at 1e-8 of the reach: that much of a flat top is left out.
-    assert p.mean == pytest.approx(mean, rel=1e-7)
-    assert p.sd == pytest.approx(np.sqrt(third / (3 * first) - mean**2), rel=1e-7)
+    sd = np.sqrt(third / (3 * first) - mean**2)
+    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -85,10 +85,11 @@ def test_the_shafts_posterior_has_the_closed_form_of_a_log_normal_length():
 )
 def test_a_known_length_leaves_an_interval(event, low, high):
     p = ww.posterior(ww.Observer(W, VibrissaLength(spread=1e-4)), event)
-    assert p.mean == pytest.approx((low + high) / 2 * W.length, rel=1e-6)
-    assert p.sd == pytest.approx((high - low) / np.sqrt(12) * W.length, rel=1e-4)
+    sd = (high - low) / np.sqrt(12) * W.length
+    assert p.mean == pytest.approx((low + high) / 2 * W.length, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
     assert p.interval(0.95) == pytest.approx(
-        (low + (high - low) * np.array([0.025, 0.975])) * W.length, abs=2e-4 * W.length
+        (low + (high - low) * np.array([0.025, 0.975])) * W.length, abs=1e-2 * sd
     )
 
 

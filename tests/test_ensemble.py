@@ -19,7 +19,6 @@ from weberwhisk.inference.ensemble import (
     StackedSample,
     sample_stacked,
 )
-from weberwhisk.inference.grid import integrate
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
@@ -175,14 +174,18 @@ def test_agrees_with_quadrature_in_two_skewed_dimensions() -> None:
     def functions(x: Array) -> Array:
         return np.concatenate([x, np.exp(x[..., :1] / 2)], axis=-1)
 
-    ends = np.tile([12.0, 12.0], (2, 1))
-    exact = integrate(density, -2 * ends, ends, functions=functions)
+    axes = np.linspace(-24, 12, 1500), np.linspace(-24, 12, 1500)
+    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(1, -1, 2)
+    weight = np.exp(np.stack([density(place, np.array([i]))[0] for i in range(2)]))
+    weight /= weight.sum(axis=1, keepdims=True)
+    value = functions(place[0])
+    mean = weight @ value
+    sd = np.sqrt(weight @ value**2 - mean**2)
     start = np.log(shape)[:, None, None, None] + 0.5 * rng.standard_normal((2, 4, 16, 2))
     fit = sample_stacked(density, start, seed=6, functions=functions, precision=0.03, indexed=True)
     assert fit.converged.all()
-    assert exact.error.max() < 1e-3
-    assert np.abs((fit.mean - exact.mean) / fit.mcse_mean).max() < 4
-    assert np.abs((fit.sd - exact.sd) / fit.mcse_sd).max() < 4
+    assert np.abs((fit.mean - mean) / fit.mcse_mean).max() < 4
+    assert np.abs((fit.sd - sd) / fit.mcse_sd).max() < 4
     assert fit.values.shape == (2, 4, 1024, 3)
     np.testing.assert_allclose(fit.values[..., 2], np.exp(fit.values[..., 0] / 2))
 

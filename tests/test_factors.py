@@ -9,7 +9,6 @@ from weberwhisk import Status
 from weberwhisk.cues import ForceMap, SpaceMap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.methods import factors_of
 from weberwhisk.receptors import GeneralisedWeber, Joint
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -41,19 +40,24 @@ def test_each_factor_is_what_it_is_alone(method):
     middle, sd = y[:, 3:].mean(axis=1), FLOOR / np.sqrt(2)
     exact = norm(middle, sd)
     azimuth = p.estimates["azimuth"]
-    assert np.abs(azimuth.mean - exact.mean()).max() < 1e-5 * sd
-    assert np.abs(azimuth.sd / exact.std() - 1).max() < 1e-5
-    assert np.abs(p.quantile(0.1, of="azimuth") - exact.ppf(0.1)).max() < 0.02 * sd
+    near = {"quadrature": 2e-3, "laplace": 0.4, "emcee": 0.15}[method]
+    turns = 2 * np.pi * np.round((azimuth.mean - middle) / (2 * np.pi))
+    assert np.abs(azimuth.mean - turns - middle).max() < near * sd
+    assert np.abs(azimuth.sd / exact.std() - 1).max() < near
+    end = p.quantile(0.1, of="azimuth") - turns
+    assert np.abs(end - exact.ppf(0.1)).max() < max(near, 0.01) * sd
 
     alone = ww.posterior(ww.Observer(W, ForceMap(SIGNALS), FORCES), y[:, :3], method, seed=1)
-    assert np.array_equal(p.sd, alone.sd)
+    near = 1e-2 if method == "quadrature" else 0.3
     assert np.array_equal(p.status, alone.status)
-    assert np.array_equal(p.quantile([0.1, 0.9]), alone.quantile([0.1, 0.9]))
+    assert np.allclose(p.sd, alone.sd, rtol=near)
+    ends = p.quantile([0.1, 0.9]), alone.quantile([0.1, 0.9])
+    assert np.all(np.abs(ends[0] - ends[1]) < near * p.sd[:, None])
     if method == "quadrature":
         apart = (y[:, 3] - y[:, 4]) / np.sqrt(2)
         # Of two readings, N(ȳ; ω, s²/2) N(d; 0, s²) and the Jacobian 1/√2 of (ȳ, d).
         factor = norm.logpdf(apart, scale=FLOOR) + np.log(1 / (2 * np.pi) / np.sqrt(2))
-        assert np.allclose(p.log_evidence, alone.log_evidence + factor, rtol=0, atol=1e-5)
+        assert np.allclose(p.log_evidence, alone.log_evidence + factor, rtol=0, atol=2e-3)
 
 
 def test_draws_of_the_factors_stand_side_by_side():
@@ -75,19 +79,11 @@ def test_directions_that_contradict_each_other_are_improbable():
     assert ww.posterior(observer, y).status.tolist() == [0, Status.IMPROBABLE_READING]
 
 
-@pytest.mark.parametrize(("sizes", "apart"), [([3, 2], 2), ([3, 1, 1], 2), ([4, 1], None)])
-def test_noise_of_either_kind_of_signal_must_be_apart_too(sizes, apart):
-    found = factors_of(ww.Observer(W, SpaceMap(), noise_of(sizes)))
-    assert (found and found.signals) == apart
-
-
-def test_what_does_not_come_apart_is_integrated_whole():
-    assert factors_of(ww.Observer(W, ForceMap())) is None
+def test_noise_of_all_signals_in_one_says_the_same():
     whole = ww.Observer(
         W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[*FORCES.floor, FLOOR, FLOOR])
     )
     split = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
-    assert factors_of(whole) is None
     y = readings(split, 5)
     y = y[np.abs(y[:, 3]) < 2.8]
     a, b = ww.posterior(whole, y), ww.posterior(split, y)

@@ -208,7 +208,8 @@ def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
     found, alone = ww.posterior(space, reading), ww.posterior(flat, reading[:3])
     assert found.status.name == "CONVERGED"
     for name, estimate in alone.estimates.items():
-        assert found.estimates[name][:2] == estimate[:2]
+        assert found.estimates[name].mean == pytest.approx(estimate.mean, abs=4e-3 * estimate.sd)
+        assert found.estimates[name].sd == pytest.approx(estimate.sd, rel=4e-3)
     if spread:
         return
     axes = [e.mean + e.sd * np.linspace(-5.5, 5.5, 41) for e in found.estimates.values()]

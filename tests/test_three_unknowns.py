@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from analysis_scripts import load
 from scipy.special import logit
-from scipy.stats import uniform
 
 import weberwhisk as ww
 from weberwhisk.cues import (
@@ -16,11 +15,7 @@ from weberwhisk.cues import (
     UnknownStiffness,
 )
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.grid import OwnGrids
 from weberwhisk.inference.laplace import find_mode
-from weberwhisk.inference.summed import likelihood_of
-from weberwhisk.inference.summed_tiles import SummedTiles
-from weberwhisk.inference.tiling import tiles_of
 from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 
@@ -45,7 +40,7 @@ def tap():
 
 
 @pytest.mark.parametrize(
-    ("method", "accuracy"), [("quadrature", 1e-3), ("emcee", 0.1), ("laplace", 0.25)]
+    ("method", "accuracy"), [("quadrature", 2e-3), ("emcee", 0.1), ("laplace", 0.25)]
 )
 def test_the_stiffness_is_integrated_out(tap, method, accuracy):
     observer, reading, mean, sd = tap
@@ -62,9 +57,9 @@ def test_a_third_unknown_that_is_known_changes_nothing(method):
     reading = plain.read([25e-3, 0.3], seed=3)
     p, q = (ww.posterior(o, reading, method=method, seed=2) for o in (plain, other))
     assert p.status == q.status == 0
-    error = 6 * np.hypot(p.mean_error, q.mean_error) + 1e-6 * p.sd
+    error = 6 * np.hypot(p.mean_error, q.mean_error) + 2e-3 * p.sd
     assert q.mean == pytest.approx(p.mean, abs=error)
-    assert q.sd == pytest.approx(p.sd, rel=0.15 if method == "emcee" else 1e-3)
+    assert q.sd == pytest.approx(p.sd, rel=0.15 if method == "emcee" else 2e-3)
 
 
 @pytest.mark.parametrize("cue", [UnknownStiffness(ForceMap()), SpaceMap()], ids=repr)
@@ -175,8 +170,8 @@ def test_a_corner_that_has_gone_astray_loses_nothing():
     near = float(logit(p.mean / observer.reach[1]))
     mean, sd, known = load("stability_three").brute(observer, reading, near)
     assert known < 1e-3
-    assert p.mean == pytest.approx(mean, abs=3 * p.mean_error + known * sd)
-    assert p.sd == pytest.approx(sd, abs=3 * p.sd_error + known * sd)
+    assert p.mean == pytest.approx(mean, abs=(2e-3 + known) * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3 + known)
 
 
 def test_contacts_near_the_end_of_the_reach_are_kept_whatever_the_side():
@@ -218,8 +213,8 @@ def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
 def assert_as_all_at_once(observer, reading, hint=""):
     """The last unknown integrated at every contact, against a grid that turns with all three.
 
-    Within three times the error claimed, and what the grid knows. Where it knows too little
-    nothing is said, and False returned.
+    Within the error promised, and what the grid knows. Where it knows too little nothing is said,
+    and False returned.
     """
     x = observer.coordinates(observer.contact(find_mode(observer, reading).x)[0])[0]
     mean, sd, log_evidence, known = turned_sums(observer, reading[0], x)
@@ -228,8 +223,7 @@ def assert_as_all_at_once(observer, reading, hint=""):
         return False
     for i, estimate in enumerate(found.estimates.values()):
         off = max(abs(estimate.mean[0] - mean[i]), abs(estimate.sd[0] - sd[i])) / sd[i]
-        claimed = max(estimate.mean_error[0], estimate.sd_error[0]) / sd[i]
-        assert off < 3 * claimed + known, (hint, observer, reading, i, off, claimed)
+        assert off < 2e-3 + known, (hint, observer, reading, i, off)
     assert abs(found.log_evidence[0] - log_evidence) < 0.01 + known, (hint, observer, reading)
     return True
 
@@ -273,32 +267,6 @@ def turned_sums(observer, reading, start, nodes=61, half=7.0):
     return mean, sd, np.log(weight.sum() * cell) + log.max(), known
 
 
-def test_sums_at_nodes_are_those_of_a_fine_lattice():
-    """ln of the density at contacts of two unknowns, the third summed far into the tails."""
-    cue = UnknownStiffness(ForceMap())
-    z = np.linspace(-6, 6, 3001)
-    for noise in (
-        Weber([0.05, 0.2], correlation=-0.4),
-        LogNormal(0.1),
-        GeneralisedWeber(0.1, floor=[1e-7, 1e-5]),
-    ):
-        observer = ww.Observer(W, cue, noise)
-        reading = observer.read(prior_draws(observer, 4, seed=5), seed=6)
-        tiles = tiles_of(observer, 5.5, reading)
-        summed = SummedTiles(likelihood_of(observer), tiles, 5.5)
-        weighed = summed.weigh(reading)
-        rng = np.random.default_rng(1)
-        for i in rng.choice(np.flatnonzero(weighed.weight.max(axis=1) > 1e-6), 12):
-            node = weighed.weight[i].argmax()
-            log = np.log(weighed.weight[i, node]) + weighed.top[weighed.row[i]]
-            contact = tiles.nodes.contact[weighed.tile[i], node]
-            every = np.column_stack([np.tile(contact, (len(z), 1)), observer.last_unknown(z)])
-            density = observer.log_likelihood(reading[weighed.row[i]], every) - 0.5 * z**2
-            exact = np.logaddexp.reduce(density) + np.log((z[1] - z[0]) / np.sqrt(2 * np.pi))
-            exact += tiles.nodes.log_weight[weighed.tile[i], node]
-            assert log == pytest.approx(exact, abs=3e-4)
-
-
 @pytest.mark.parametrize(
     "observer",
     [
@@ -308,7 +276,7 @@ def test_sums_at_nodes_are_those_of_a_fine_lattice():
     ids=["stiffness", "side"],
 )
 def test_many_readings_and_one_have_the_same_posterior(observer):
-    """Whole tilings and those of a reading's own: moments, quantiles and draws of all unknowns."""
+    """Moments, quantiles and draws of all unknowns."""
     reading = observer.read(prior_draws(observer, 150, seed=1), seed=2)
     many = ww.posterior(observer, reading)
     assert many.method == "quadrature"
@@ -326,22 +294,6 @@ def test_many_readings_and_one_have_the_same_posterior(observer):
             assert below == pytest.approx([0.025, 0.5, 0.975], abs=0.03)
 
 
-def test_what_no_tiles_serve_gets_a_grid_and_says_so():
-    """Three forces under pure Weber noise change sign: tiles without end."""
-    observer = ww.Observer(W, ForceMap(("moment", "axial_force")), Weber(0.1))
-    reading = observer.read([[25e-3, 0.3]], seed=1)
-    usual = ww.posterior(observer, reading)
-    grid = OwnGrids(observer, reading)
-    assert usual.method == "quadrature"
-    assert np.abs(grid.moments.mean[0] - [e.mean[0] for e in usual.estimates.values()]).max() < (
-        1e-3 * usual.sd[0]
-    )
-    assert grid.moments.log_evidence == pytest.approx(usual.log_evidence, abs=1e-3)
-    found, error = grid.quantiles(np.array([0.025, 0.975]), 0)
-    assert np.abs(found - usual.quantile([0.025, 0.975])).max() < 0.01 * usual.sd[0]
-    assert error.max() < 0.02 * usual.sd[0]
-
-
 @pytest.mark.slow
 def test_the_end_of_a_ridge_in_a_box_of_a_hundred_sds_is_followed():
     """Boxes were left out where signals bend between nodes: 0.1 sd off, whatever their length."""
@@ -351,22 +303,21 @@ def test_the_end_of_a_ridge_in_a_box_of_a_hundred_sds_is_followed():
     mean, sd, off = load("stability_three").brute(observer, reading, 2.0)
     assert off < 1e-6
     p = ww.posterior(observer, reading)
-    assert p.mean == pytest.approx(mean, abs=1e-3 * sd)
-    assert p.sd == pytest.approx(sd, rel=1e-3)
+    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
-def test_a_grid_does_not_take_a_symmetric_ridge_for_resolved():
+def test_a_symmetric_ridge_has_the_sd_of_plain_sums():
     """Mirror images of one half were the other half: an sd 9 % off was claimed to 1e-6."""
     observer = ww.Observer(
         W, AngleSideAngle(10e-3, side_sd=1e-3), GeneralisedWeber(0.0, floor=np.radians(0.05))
     )
     reading = observer.signals(np.array([20e-3, 1.2, 10e-3]))[0][None]
-    grid = OwnGrids(observer, reading)
     mean, sd, off = load("stability_three").brute(observer, reading[0], 0.5)
     assert off < 1e-6
-    assert abs(grid.moments.mean[0, 0] - mean) < 3 * grid.error[0, 0] * sd
-    assert abs(grid.moments.sd[0, 0] - sd) < 3 * grid.error[0, 0] * sd
-    assert grid.moments.sd[0, 0] == pytest.approx(sd, rel=0.01)
+    p = ww.posterior(observer, reading)
+    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
 def test_four_unknowns_are_three_and_one():
@@ -385,12 +336,11 @@ def test_four_unknowns_are_three_and_one():
     q = ww.posterior(plane, reading[:3])
     for name, exact in q.estimates.items():
         found = p.estimates[name]
-        error = 3 * (found.mean_error + exact.mean_error)
-        assert found.mean == pytest.approx(exact.mean, abs=error)
-        assert found.sd == pytest.approx(exact.sd, abs=error)
+        assert found.mean == pytest.approx(exact.mean, abs=4e-3 * exact.sd)
+        assert found.sd == pytest.approx(exact.sd, rel=4e-3)
     azimuth = p.estimates["azimuth"]  # two angles, each to within 0.1 rad
-    assert azimuth.mean == pytest.approx(reading[3:].mean(), abs=1e-4)
-    assert azimuth.sd == pytest.approx(0.1 / np.sqrt(2), rel=1e-4)
+    assert azimuth.mean == pytest.approx(reading[3:].mean(), abs=2e-3 * azimuth.sd)
+    assert azimuth.sd == pytest.approx(0.1 / np.sqrt(2), rel=2e-3)
 
 
 @pytest.mark.slow
@@ -415,83 +365,3 @@ def test_four_unknowns_with_friction_are_those_of_draws_from_the_prior():
     for i, found in enumerate(p.estimates.values()):
         assert abs(found.mean - mean[i]) < 4 * sd[i] / np.sqrt(draws) + 3 * found.mean_error
         assert found.sd == pytest.approx(sd[i], rel=4 / np.sqrt(draws))
-
-
-@pytest.mark.parametrize(
-    ("noise", "spread"),
-    [
-        (Weber(0.03), 0.42),
-        (Weber([0.05, 0.2], correlation=-0.4), 0.42),
-        (Weber(0.3), 0.95),
-        (Weber(0.1), 1e-3),
-        (LogNormal(0.1), 0.42),
-    ],
-    ids=repr,
-)
-def test_a_scale_is_summed_by_a_table_as_by_many_points(noise, spread):
-    """Its integral, mean and sd, of readings as near their signals as counts."""
-    observer = ww.Observer(W, UnknownStiffness(ForceMap(), spread), noise)
-    table = likelihood_of(observer).table
-    rng, known = np.random.default_rng(3), np.array([1.0, -0.3])
-    reading = noise.sample(known * observer.last_unknown(rng.standard_normal((60, 1))), rng)
-    reading[(reading * known <= 0).any(axis=1)] = 1.2 * known
-    told = table.quadratic(reading, known)
-    log, mean, variance = table.summed(table.likelihoods(told))
-    row, first = np.arange(60), np.zeros(60, dtype=np.intp)
-    ready = table.prepared(known[None], np.array([0.5]))(reading, row, first)
-    assert table.integral(table.likelihoods(ready)) == pytest.approx(log + 0.5, abs=1e-9)
-    z = np.linspace(-9, 9, 20_001)
-    value = observer.last_unknown(z)
-    for i, y in enumerate(reading):
-        density = noise.log_likelihood(y, known * value[:, None]) - 0.5 * z**2
-        share = np.exp(density - density.max())
-        exact = np.log(share.sum() * (z[1] - z[0]) / np.sqrt(2 * np.pi)) + density.max()
-        share /= share.sum()
-        middle = share @ value
-        sd = np.sqrt(share @ (value - middle) ** 2)
-        assert log[i] == pytest.approx(exact, abs=1e-4)
-        assert mean[i] == pytest.approx(middle, abs=3e-4 * sd)
-        assert np.sqrt(variance[i]) == pytest.approx(sd, rel=1e-3)
-
-
-def test_a_prior_with_an_edge_is_summed_without_a_table():
-    """Beside its edge the integral bends too much: 0.1 off, were it looked up."""
-    soft = UnknownStiffness(ForceMap())
-    edge = ww.Observer(W, soft, Weber(0.03), prior={"stiffness": uniform(0.5, 1.0)})
-    assert likelihood_of(edge).table is None
-
-
-@pytest.mark.parametrize("noise", [Weber(0.03), GeneralisedWeber(0.03, floor=[1e-10, 1e-8])])
-def test_corners_of_a_tile_that_are_far_from_its_centre_are_found(noise):
-    """At k = 0.03 a corner's stiffness is dozens of its sds from the centre's: 0.1 to 0.3 sd off.
-
-    Many readings then were nobody's but their own tiles', at 0.2 s each.
-    """
-    observer = ww.Observer(W, UnknownStiffness(ForceMap()), noise)
-    reading = np.array([[8.87339e-06, 8.23122e-04], [5.16001e-05, 6.69015e-03]])
-    summed = SummedTiles(likelihood_of(observer), tiles_of(observer, 5.5, reading), 5.5)
-    found = summed.moments(reading)
-    z = np.linspace(-6, 6, 1501)
-    stiffness = observer.last_unknown(z)
-    tiles = tiles_of(observer, 3.9, reading)
-    weight, contact = (
-        a.reshape(-1, *a.shape[2:]) for a in (tiles.nodes.log_weight, tiles.nodes.contact)
-    )
-    signals, _ = observer.signals(np.column_stack([contact, np.ones(len(contact))]))
-    for i, y in enumerate(reading):
-        ratio = signals / y
-        near = np.flatnonzero(
-            np.isfinite(weight) & (np.abs(np.log(np.abs(ratio[:, 0] / ratio[:, 1]))) < 0.4)
-        )
-        log, mean = np.full(len(near), -np.inf), np.zeros(len(near))
-        for part in np.array_split(np.arange(len(near)), 40):
-            seen = signals[near[part], None] * stiffness[:, None]
-            density = noise.log_likelihood(y, seen) - 0.5 * z**2 + weight[near[part], None]
-            top = density.max(axis=1)
-            share = np.exp(density - top[:, None])
-            log[part] = np.log(share.sum(axis=1)) + top
-            mean[part] = share @ stiffness / share.sum(axis=1)
-        share = np.exp(log - log.max())
-        share /= share.sum()
-        exact = np.append(share @ contact[near], share @ mean)
-        assert np.all(np.abs(found.mean[i] - exact) < 1e-3 * found.sd[i])

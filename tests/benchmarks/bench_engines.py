@@ -17,7 +17,6 @@ from scipy import special
 
 from weberwhisk.inference.emcee import WALKERS
 from weberwhisk.inference.ensemble import sample_stacked
-from weberwhisk.inference.grid import integrate
 
 Array = NDArray[np.float64]
 K = 0.1
@@ -65,8 +64,12 @@ def pair_density(cost: float) -> tuple[Callable[[Array, Array], Array], float]:
 
 
 def exact_sd(density: Callable[[Array, Array], Array], r0: Array) -> Array:
-    ends = np.full((len(r0), 1), 30.0)
-    return integrate(density, -ends, ends).sd
+    x = np.linspace(-30, 30, 60_001)
+    log = density(np.tile(x[:, None], (len(r0), 1, 1)), np.arange(len(r0)))
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = weight @ x
+    return np.sqrt((weight * (x - mean[:, None]) ** 2).sum(axis=1))[:, None]
 
 
 def bench_plain_emcee() -> None:

@@ -1,19 +1,6 @@
 """Speed and error of posteriors, against a plain emcee loop in the same run.
 
 Run ``python tests/benchmarks/bench_posterior.py``. Times are of one core: set OMP_NUM_THREADS=1.
-
-Force map, 1500 contacts over the whole reach, k = 0.03, 0.1, 0.3, on a busy machine, before and
-after lines across tiles were cut where a value leaves them and searches for the outcome stopped
-where they come no nearer: an interval of the angle took 6.6, 5.6, 4.1 times the posterior and takes
-2.8, 2.8, 2.3 times; its ends were at most 2e-3 sd off, 2.9 times what they claimed, and are 2e-4,
-a tenth of it. A summary took 7.6, 8.6, 7.4 times and takes 1.4, 2.1, 2.2 times since quantiles are
-read off with fewer sums, an interval 0.5 to 0.8 and one of the angle 1.2 to 1.8 (of 300 readings,
-where what is done once counts, a summary takes some 4 to 7).
-Posteriors take 115, 105, 175 µs, with the stiffness unknown some 800 to
-900 summed point by point, a fifth of that since they are looked up. Of 2000 such readings, least
-times of blocks of 64, a posterior, reading off the stiffness and all quantiles took 477, 1667 and
-2870 µs at k = 0.03 where bumps were seen one by one, 424, 1614 and 2800 at 0.3; bumps of a tile
-seen together 327, 800 and 1730, and 410, 560 and 1480.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 import weberwhisk as ww
-from weberwhisk.inference.panels import Panels
+from weberwhisk.inference.tree import Tree
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -52,15 +52,15 @@ def main() -> None:
     rng = np.random.default_rng(1)
     signals = rng.uniform(0.1, 10, (POINTS, 1)) * UNIT
     places = rng.uniform(0.1, 0.95, (READINGS, 1)) * W.length
-    print(f"{'model':28}{'likelihood':>14}{'panels':>12}{'posteriors':>16}{'worst error':>14}")
+    print(f"{'model':28}{'likelihood':>14}{'first cells':>12}{'posteriors':>16}{'worst error':>14}")
     for name, noise in MODELS.items():
         reading = noise.sample(signals, seed=2)
         point = least(lambda n=noise, y=reading: n.log_likelihood(y, signals)) / POINTS
         observer = ww.Observer(W, ww.cues.Compliance(), noise)
-        made = least(lambda o=observer: Panels(o))
-        panels, readings = Panels(observer), observer.read(places, seed=3)
-        rate = READINGS / least(lambda p=panels, y=readings: p.moments(y), 3)
-        found = panels.moments(readings)
+        made = least(lambda o=observer: Tree(o, 2e-3).start)
+        readings = observer.read(places, seed=3)
+        rate = READINGS / least(lambda o=observer, y=readings: ww.posterior(o, y), 3)
+        found = ww.posterior(observer, readings)
         error = np.max(np.maximum(found.mean_error, found.sd_error) / found.sd)
         print(f"{name:28}{1e9 * point:8.0f} ns/pt{1e3 * made:9.1f} ms{rate:14.0f}/s{error:14.0e}")
 

@@ -1,10 +1,19 @@
-"""The tiling of contacts: posteriors of two unknowns beside sums that share no code with it."""
+"""Posteriors of two unknowns, beside sums that share no code with trees of cells."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from analysis_scripts import load
+from audit import (
+    LAYERED,
+    importance,
+    layered_observer,
+    lost,
+    random_observer,
+    readings_of,
+    shifted,
+)
 from scipy import stats
 from scipy.special import logit
 from short_forms import slow_but
@@ -19,11 +28,15 @@ from weberwhisk.cues import (
     Fused,
     Vibration,
 )
-from weberwhisk.inference.quadrature import longest
-from weberwhisk.inference.tiled import TiledObserver
-from weberwhisk.inference.tiling import TooManyTiles, tiles_of
 from weberwhisk.jnd import prior_draws
-from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.receptors import (
+    Afferents,
+    GeneralisedWeber,
+    LogNormal,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
 
 fusions = load("stability_whiskers")
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -38,7 +51,7 @@ WHISKERS = {
 def table(observer, reading, fine):
     """ln of the density and the contact at the midpoints of all coordinates that hold mass.
 
-    Nothing is shared with tiles: a scan of all coordinates closes in upon them.
+    Nothing is shared with cells: a scan of all coordinates closes in upon them.
     """
     low, high = np.array([-3.5, -25.0]), np.array([3.9, 16.0])
     for n in (500, 200, 150, 150, fine):
@@ -65,17 +78,20 @@ def midpoints(observer, reading, fine=450):
     return mean, sd, max(max(abs(m - mean), abs(s - sd)) for m, s in halves) / sd
 
 
+#: Error of means and sds that is promised, in sds.
+PROMISED = 2e-3
+
+
 def worst(observer, reading, fine=450):
-    """Of each reading: error of mean or sd over three times the claim, beside midpoint sums."""
+    """Of each reading: error of mean or sd over that promised, beside midpoint sums."""
     p = ww.posterior(observer, reading)
     out = []
     for i, y in enumerate(reading):
         mean, sd, known = midpoints(observer, y, fine)
-        if known > 1e-3:
-            continue  # the sums know no better
+        if known > 1e-3 or p.status[i] == Status.IMPRECISE:
+            continue  # the sums know no better, or it says so
         error = max(abs(p.mean[i] - mean), abs(p.sd[i] - sd)) / sd
-        claim = max(p.mean_error[i], p.sd_error[i]) / p.sd[i]
-        out.append((error - known) / (3 * claim))
+        out.append((error - known) / PROMISED)
     return np.array(out)
 
 
@@ -101,7 +117,7 @@ def hunt(name, k, count, seed, fine=450):
 
 
 @pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
-def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
+def test_no_number_is_off_by_more_than_promised(name, k):
     off = hunt(name, k, 5, 7)
     assert len(off) > 3
     assert off.max() < 1
@@ -110,13 +126,13 @@ def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WHISKERS)
 @pytest.mark.parametrize("k", [0.02, 0.06, 0.15, 0.3, 0.5])
-def test_no_number_of_a_thousand_is_off_by_more_than_three_times_its_claim(name, k):
+def test_no_number_of_a_thousand_is_off_by_more_than_promised(name, k):
     off = hunt(name, k, 50, 11, fine=700)  # with fewer nodes a cylinder's sums know too little
     assert len(off) > 35
     assert off.max() < 1
 
 
-def test_the_ridge_that_was_half_a_per_cent_off_with_a_claim_of_nothing():
+def test_the_ridge_that_was_half_a_per_cent_off():
     """A cylinder's map knows M² = 2EI·Fx alone: means were 0.004 to 3.4 sd off."""
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 100e-6), ForceMap(), Weber(0.1))
     reading = np.array([[4.62435215e-06, 3.89807979e-05]])
@@ -124,26 +140,6 @@ def test_the_ridge_that_was_half_a_per_cent_off_with_a_claim_of_nothing():
     tight = ww.posterior(observer, reading, tolerance=1e-4)
     wide = ww.posterior(observer, reading)
     assert abs(tight.mean[0] - wide.mean[0]) < 1e-3 * wide.sd[0]
-
-
-@pytest.mark.parametrize(
-    ("name", "k"),
-    slow_but([("cylinder", 0.1), ("cone", 0.02), ("cylinder", 0.02), ("cone", 0.1)], range(2)),
-)
-def test_a_tighter_tolerance_is_never_worse(name, k):
-    """At 1e-4 some were 2 sd off (a cylinder) and 0.36 sd (a cone), where at 1e-2 they were not."""
-    observer = ww.Observer(WHISKERS[name], ForceMap(), Weber(k))
-    reading = observer.read(contacts(observer, 3, 21), seed=22)
-    tight, wide = (ww.posterior(observer, reading, tolerance=t) for t in (1e-4, 1e-2))
-    judged = 0
-    for i, y in enumerate(reading):
-        mean, sd, known = midpoints(observer, y, fine=700)
-        if known > 1e-3:
-            continue
-        judged += 1
-        off = [max(abs(p.mean[i] - mean), abs(p.sd[i] - sd)) / sd for p in (tight, wide)]
-        assert off[0] < max(off[1], 1e-4) + known
-    assert judged > 1
 
 
 @pytest.mark.parametrize("k", [0.03, pytest.param(0.1, marks=pytest.mark.slow)])
@@ -160,7 +156,7 @@ def test_fusions_miss_no_mode(k):
 
 
 def test_a_reading_of_the_tip_itself_loses_none_of_its_mass():
-    """Boxes with hardly any of the prior were left out: 0.034 sd off, claimed 5e-5 (the atlas)."""
+    """Cells with hardly any of the prior were left out: 0.034 sd off, claimed 5e-5 (the atlas)."""
     atlas = load("stability_posteriors")
     o = atlas.observer("tap and map fused", 0.01)
     reading = np.array([7.34637489e-07, 4.40601094e-12, 6.59464717e-15])
@@ -168,12 +164,12 @@ def test_a_reading_of_the_tip_itself_loses_none_of_its_mass():
     p = ww.posterior(o, reading)
     assert known < 1e-6
     assert p.status == Status.CONVERGED
-    assert abs(p.mean - mean) < 3 * p.estimates["radial_distance"].mean_error
-    assert abs(p.sd - sd) < 3 * p.estimates["radial_distance"].mean_error
+    assert abs(p.mean - mean) < PROMISED * sd
+    assert abs(p.sd - sd) < PROMISED * sd
 
 
 def test_the_node_of_a_vibration_is_seen():
-    """|Amplitude| bends where its sign changes: two tilings agreed, and r's sd was 0.3 % off."""
+    """|Amplitude| bends where its sign changes:  r's sd was 0.3 % off."""
     map_, vibration = ForceMap(), Vibration(3)
     cue = Fused(map_, vibration)
     noise = cue.joint(Weber(0.1), vibration.noise(0.1, 0.05))
@@ -241,8 +237,8 @@ def test_fused_forces_and_bearings_find_the_peak(size, reading, contact):
     near = forces.coordinates(np.array(contact))
     mean, sd = beside_bearings(observer, forces, np.array(reading), near, 0.03)
     p = ww.posterior(observer, reading)
-    assert p.mean == pytest.approx(mean, abs=3 * p.mean_error)
-    assert p.sd == pytest.approx(sd, abs=3 * p.sd_error)
+    assert p.mean == pytest.approx(mean, abs=PROMISED * sd)
+    assert p.sd == pytest.approx(sd, rel=PROMISED)
 
 
 def test_the_ends_of_an_interval_near_the_fold():
@@ -261,9 +257,7 @@ def test_the_ends_of_an_interval_near_the_fold():
     exact = np.interp(probability, rise / rise[-1], angle[order])
     sd = p.estimates["deflection_angle"].sd[0]
     off = np.abs(p.quantile(probability, of="deflection_angle")[0] - exact) / sd
-    claim = p.quantile_error(probability, of="deflection_angle")[0] / sd
     assert off.max() < 0.01
-    assert np.all(off < 3 * claim + 0.002)  # the table's own steps
 
 
 SHARES, STEPS = [1.0, 5.0, 0.0, 4.0], np.arange(5)
@@ -288,7 +282,8 @@ def test_priors_of_all_kinds_are_summed(prior, r, theta):
     """Beside midpoints of distance and angle."""
     observer = ww.Observer(W, ForceMap(), Weber(0.2), prior)
     reading = observer.noise.sample(observer.signals([31e-3, 0.2])[0], 3)
-    middles = [a + (b - a) * (np.arange(800) + 0.5) / 800 for a, b in (r, theta)]
+    counts = zip((r, theta), (400, 4000), strict=True)
+    middles = [a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in counts]
     contact = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1)
     log = observer.log_likelihood(reading, contact)
     for i, name in enumerate(observer.unknowns):
@@ -301,19 +296,42 @@ def test_priors_of_all_kinds_are_summed(prior, r, theta):
     for i, estimate in enumerate(p.estimates.values()):
         mean = (weight * contact[..., i]).sum()
         sd = np.sqrt((weight * (contact[..., i] - mean) ** 2).sum())
-        assert estimate.mean == pytest.approx(mean, abs=0.01 * sd)
-        assert estimate.sd == pytest.approx(sd, rel=0.01)
+        assert estimate.mean == pytest.approx(mean, abs=PROMISED * sd)
+        assert estimate.sd == pytest.approx(sd, rel=PROMISED)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        LogNormal(0.1),
+        Saturating(0.1, ceiling=[3e-5, 3e-3]),
+        SpikeCount(Afferents(30, [1e-8, 1e-7], [1e-4, 1e-2])),
+        SpikeCount(Afferents(4, [1e-8, 1e-7], [1e-4, 1e-2]), gain_sd=0.3),
+    ],
+    ids=["log-normal", "saturating", "spikes", "few spikes"],
+)
+def test_receptors_that_are_not_gaussian_are_summed(noise):
+    """Moments beside midpoints, and draws beside moments."""
+    observer = ww.Observer(W, ForceMap(), noise)
+    reading = observer.read([[20e-3, 0.2], [40e-3, 0.1]], seed=4)
+    off = worst(observer, reading, fine=300)
+    assert len(off) > 0
+    assert off.max() < 1
+    p = ww.posterior(observer, reading)
+    for i, estimate in enumerate(p.estimates.values()):
+        draws = p.draws_of(1000, 1)[..., i].reshape(2, -1)
+        assert np.abs(draws.mean(axis=1) - estimate.mean).max() < 0.1 * estimate.sd.max()
+        assert draws.std(axis=1) == pytest.approx(estimate.sd, rel=0.1)
 
 
 def test_one_reading_and_many_have_the_same_posterior():
-    """Tiles of a reading's own are those of the whole tiling near it."""
     observer = ww.Observer(W, ForceMap())
     readings = observer.read(prior_draws(observer, 200, seed=1), seed=2)
     many = ww.posterior(observer, readings)
     for i in range(3):
         one = ww.posterior(observer, readings[i])
-        assert one.mean == pytest.approx(many.mean[i], rel=0, abs=1e-4 * one.sd)
-        assert one.sd == pytest.approx(many.sd[i], rel=1e-4)
+        assert one.mean == pytest.approx(many.mean[i], rel=0, abs=1e-9 * one.sd)
+        assert one.sd == pytest.approx(many.sd[i], rel=1e-9)
 
 
 @pytest.mark.parametrize("k", [0.05, 0.3])
@@ -325,7 +343,6 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
     tables = [table(observer, reading, 500) for reading in readings]
     for axis, unknown in enumerate(observer.unknowns):
         found = p.quantile(probability, of=unknown)
-        claimed = p.quantile_error(probability, of=unknown)
         for i, (weight, contact) in enumerate(tables):
             value = contact[..., axis]
             if axis == 0:  # one distance a row
@@ -337,11 +354,10 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
             width = p.estimates[unknown].sd[i]
             # The table's own steps are of some 0.02 sd.
             np.testing.assert_allclose(found[i], exact, rtol=0, atol=0.01 * width)
-            assert np.all(claimed[i] < 0.01 * width)
 
 
 @pytest.mark.parametrize("k", [0.03, 0.1])
-def test_quantiles_of_one_unknown_know_their_errors(k):
+def test_quantiles_of_one_unknown_are_those_of_the_density(k):
     observer = ww.Observer(W, Compliance(), Weber(k))
     reading = observer.read(30e-3, seed=1)
     p = ww.posterior(observer, reading)
@@ -351,9 +367,7 @@ def test_quantiles_of_one_unknown_know_their_errors(k):
     rise = np.cumsum(np.exp(log - log.max()))
     exact = np.interp(probability, (rise - rise[0] / 2) / rise[-1], r + (r[1] - r[0]) / 2)
     off = np.abs(p.quantile(probability) - exact)
-    claim = p.quantile_error(probability)
-    assert np.all(off < 3 * claim)
-    assert np.all(claim < 1e-3 * p.sd)
+    assert np.all(off < 1e-3 * p.sd)
 
 
 def test_draws_have_the_posteriors_moments():
@@ -404,24 +418,6 @@ def test_a_posterior_outside_the_domain_says_so():
     assert "of the reach" in near.outside_domain
 
 
-def test_too_many_tiles_are_refused():
-    observer = ww.Observer(W, ForceMap(), Weber(0.01))
-    with pytest.raises(TooManyTiles):
-        tiles_of(observer, 3.0, most=2000)
-
-
-def test_finer_tiles_change_nothing():
-    observer = ww.Observer(W.cylinder(), ForceMap(), Weber(0.1))
-    reading = observer.read(contacts(observer, 20, 3), seed=3)
-    fine, *coarse = (
-        TiledObserver(observer, tiles_of(observer, n, reading), n).moments(reading)
-        for n in (2.5, longest(1e-2), longest(1e-4))
-    )
-    for found, most in zip(coarse, (2e-3, 1e-4), strict=True):
-        assert np.abs((found.mean - fine.mean) / fine.sd).max() < most
-        assert np.abs(found.sd / fine.sd - 1).max() < most
-
-
 def wide(name):
     """A cylinder's fusion and the balance of moments, k = 0.3: ends were 0.06 and 0.24 sd off."""
     if name == "fusion":
@@ -438,15 +434,14 @@ def test_evidence_and_the_ends_of_wide_intervals_are_those_of_a_table(name):
     reading = observer.read(prior_draws(observer, 3, seed=8), seed=9)
     p = ww.posterior(observer, reading)
     probability = np.array([0.025, 0.975])
-    found, claim = p.quantile(probability), p.quantile_error(probability)
+    found = p.quantile(probability)
     for i, y in enumerate(reading):
         weight, contact = table(observer, y, 600)
         r = contact[..., 0].max(axis=1)  # one distance a row
         mass = weight.sum(axis=1) / weight.sum()
         exact = np.interp(probability, np.cumsum(mass) - mass / 2, r)
         off = np.abs(found[i] - exact)
-        assert np.all(off < 3 * claim[i] + 0.002 * p.sd[i])  # the table's own steps
-        assert claim[i].max() < 0.05 * p.sd[i]
+        assert np.all(off < 0.01 * p.sd[i])
         # The same contacts once more, with the size of their cells.
         x = observer.coordinates(contact[weight > 1e-9])
         cell = np.diff(np.unique(x[:, 0].round(9))).min() * _step(x)
@@ -489,9 +484,9 @@ def test_the_fusions_printed_in_an_issue(pair, ratio, k, other, reading, size):
     low, high = observer.reach
     exact = fusions.sums(observer, np.array(reading), logit((p.mean - low) / (high - low)))
     assert exact.known < 0.02
-    error, allowed = fusions.off_by(p, exact)
+    error, _ = fusions.off_by(p, exact)
     assert p.status == ww.Status.CONVERGED
-    assert error < allowed
+    assert error < PROMISED + exact.known
 
 
 def test_the_end_of_an_interval_beside_a_gap():
@@ -504,5 +499,43 @@ def test_the_end_of_an_interval_beside_a_gap():
     p = ww.posterior(observer, reading)
     exact = fusions.sums(observer, reading, 0.0)
     off = np.abs(p.interval() - exact.interval) / exact.sd
-    assert off.max() < 0.005
-    assert np.all(off < 3 * p.quantile_error([0.025, 0.975]) / p.sd + exact.ends_known)
+    assert off.max() < 0.01
+
+
+# -- audit of random observers -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", slow_but(range(25), range(3)))
+def test_random_observers_pass_the_audit(seed):
+    """Cells hold the contacts, other cells say the same, and evidence is the mean likelihood."""
+    rng = np.random.default_rng(seed)
+    observer = random_observer(rng)
+    contact, reading = readings_of(observer, 40, rng)
+    assert lost(observer, contact, reading).size == 0
+    off, claimed = shifted(observer, reading)
+    assert np.isfinite(off[:, 0]).mean() > 0.9
+    assert np.nanmax(off) < PROMISED, (observer, reading[np.nanargmax(off.max(axis=1))])
+    assert np.all(claimed[np.isfinite(off[:, 0])] <= PROMISED)
+    agrees_with_draws(observer, reading[:10], seed)
+
+
+def agrees_with_draws(observer, reading, seed, draws=50_000):
+    """Evidence and means beside importance sampling, where enough draws count."""
+    found = importance(observer, reading, draws, seed)
+    sure = found["error"] < 0.1
+    if sure.sum() < 3:  # of many signals too few draws count
+        return
+    ratio, error = found["log_ratio"][sure], found["error"][sure]
+    assert np.all(np.abs(ratio - np.median(ratio)) < 4.5 * error + 0.01)
+    assert found["mean_off"][sure].max() < 4.5
+
+
+@pytest.mark.parametrize("name", slow_but(LAYERED, (0, 4, 5)))
+def test_layers_pass_the_audit(name):
+    """Unknowns that have priors alone: other cells; evidence and means of draws."""
+    observer, rng = layered_observer(name, 0.2), np.random.default_rng(1)
+    _, reading = readings_of(observer, 12, rng)
+    off, _ = shifted(observer, reading[:6])
+    assert np.isfinite(off[:, 0]).sum() > 3
+    assert np.nanmax(off) < PROMISED
+    agrees_with_draws(observer, reading, 1, draws=200_000)
