@@ -411,7 +411,7 @@ class LayeredSums:
     # -- quantiles and draws -----------------------------------------------------------------------
 
     def _refine(self, rows: Index, rough: Any) -> None:
-        """Halve nodes of readings as far as conditional posteriors are `rough` from one to the next.
+        """Halve nodes of readings whose conditional posteriors are too `rough` between them.
 
         Sums of moments converge sooner than what is interpolated between nodes.
         """

@@ -25,7 +25,7 @@ from .observer import Evaluated
 from .weighted import Leaves, Sums
 
 #: Step of the first cells, in the observer's coordinates; a sixteenth of it with one unknown. At
-#: 1.0 narrow parts of posteriors of whiskers that rub were not found (19 of 225 readings); at 0.5 none of 2000 were.
+#: 1.0 narrow parts of posteriors of whiskers that rub were not found (19 of 225 readings).
 ROOT_STEP = 0.5
 #: Cells whose density is so many nats below the highest are left out. At 15, 2 of 225 posteriors
 #: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
@@ -79,7 +79,7 @@ class GaussianTerm:
         return mean, sd
 
     def readings(self, readings: Array) -> tuple[Array, Array]:
-        """Readings (B, R) on the axis on which they are Gaussian (size, B), ln of its slope (B,)."""
+        """Readings (B, R) where they are Gaussian, (size, B), and ln of the slope there (B,)."""
         pairs = [part.noise.to_gaussian(readings[:, part.readings]) for part in self.parts]
         columns, log_slope = zip(*pairs, strict=True)
         return np.concatenate(columns, axis=1).T.copy(), np.asarray(sum(log_slope))
@@ -589,8 +589,8 @@ class _Walk:
             return []
         some = np.repeat(~stop, counts)
         left = counts[~stop]
-        none = np.zeros(len(left), dtype=bool)
-        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], none, np.logical_not(none))
+        every = np.ones(len(left), dtype=bool)
+        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], ~every, every)
 
 
 def _has_gaussian(components: Sequence[Any]) -> bool:
