@@ -549,9 +549,9 @@ class _Walk:
         ratio[:, np.isin(own, row[near][begin])] = np.maximum.reduceat(lengths, begin, axis=1)
         wide = ratio > 1
         stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
-        self.refined[own[stuck & wide.any(axis=0)]] = 9  # as often as it could be
+        self.refined[own[stuck & wide.any(axis=0)]] = DEEPEST  # as often as it could be
         last = ~wide.any(axis=0) | stuck
-        done = (ratio <= 2).all(axis=0)
+        done = np.asarray((ratio <= 2).all(axis=0))
         return self._tasks(level, row, cell, counts, wide, last, done)
 
     def _tasks(
