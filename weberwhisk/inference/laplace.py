@@ -280,6 +280,11 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     share = float(finite("mass", mass, "write 0.95, say"))
     if not 0 < share < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {share:g}; write 0.95, say.")
+    if len(observer.unknowns) != 1:
+        raise ValueError(
+            f"Peaks are counted for one unknown, got {', '.join(observer.unknowns)}; "
+            "write posterior(observer, reading).interval()."
+        )
     y = observer.checked_reading(reading)
     rows = y.reshape(-1, y.shape[-1])
     # Down to a billionth of a billionth of the highest density.

@@ -89,7 +89,12 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
             some = some[is_unidentified(observer, observer.contact(mode)[0])]
         status[some] = Status.UNIDENTIFIED
     outside = is_outside(observer.noise, reading, observer.signals(best)[0])
-    status[outside & (status != Status.IMPRECISE)] = Status.IMPROBABLE_READING
+    vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
+    if vague.size:  # whose best cell may be the wrong one
+        mode = find_mode(observer, reading[vague]).x
+        at = observer.contact(mode)[0]
+        outside[vague] = is_outside(observer.noise, reading[vague], observer.signals(at)[0])
+    status[outside] = Status.IMPROBABLE_READING
     ends = np.cumsum([len(part.error) for part in parts])[:-1]
 
     def quantile_of(p: Array, unknown: int) -> Array:
@@ -122,7 +127,8 @@ class _Within:
     def __init__(self, distribution: Any, low: float, high: float) -> None:
         self.distribution, self.ends = distribution, (low, high)
         for name in ("pdf", "logpdf", "cdf", "sf", "ppf", "isf", "median", "mean", "std"):
-            setattr(self, name, getattr(distribution, name))
+            if hasattr(distribution, name):
+                setattr(self, name, getattr(distribution, name))
 
     def support(self) -> tuple[float, float]:
         return self.ends

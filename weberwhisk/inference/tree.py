@@ -437,8 +437,9 @@ class _Walk:
         Wide cells have densities of readings that are improbable everywhere which their halves
         have not: beside those the right ones were given up.
         """
-        known = np.isfinite(self.highest)
-        gap = np.where(known, self.left_out - (self.highest - self.drop), 0.0)
+        known = np.isfinite(self.highest) & np.isfinite(self.left_out)
+        gap = np.zeros(len(known))
+        gap[known] = self.left_out[known] - self.highest[known] + self.drop[known]
         return np.maximum(gap, 0.0)
 
     def run(self) -> None:
