@@ -357,11 +357,15 @@ class Observer:
             low, high = r[held[-1]], r[held[-1] + 1]
         return float(high if not held.size or held[-1] == len(r) - 1 else low)
 
+    @cached_property
+    def _bounded_ends(self) -> tuple[Array, Array]:
+        x = self.space.spread(ENDS)[:, : self.bounded]
+        return x.min(axis=0), x.max(axis=0)
+
     def ends(self, unknowns: int | None = None) -> tuple[Array, Array]:
         """The coordinates (U,) between which there is next to all of the prior."""
-        x = self.space.spread(ENDS)[:, : self.bounded]
         further = (len(self.unknowns) if unknowns is None else unknowns) - self.bounded
-        low, high = x.min(axis=0), x.max(axis=0)
+        low, high = self._bounded_ends
         return np.append(low, [-4.8] * further), np.append(high, [4.8] * further)
 
     def coordinates(self, contact: ArrayLike) -> Array:
