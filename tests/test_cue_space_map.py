@@ -175,6 +175,7 @@ def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unkno
         assert estimate.sd == pytest.approx(sd[i], rel=2e-3)
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 @pytest.mark.parametrize("wrapped", [UnknownStiffness, Friction])
 def test_an_unknown_of_the_sizes_leaves_the_azimuth_to_itself(wrapped):
     found, alone = (
@@ -302,6 +303,7 @@ def test_intervals_hold_the_contact_as_often_as_they_say(spread, k):
         assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300), name
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it():
     cue = Friction(SpaceMap(IN_SPACE), -0.3)
     place = CONTACT * [1, 0.5, 1]
@@ -322,6 +324,7 @@ def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it()
         assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 def test_a_curvature_that_is_all_but_known_is_known():
     """One table for all, and sums over nodes; the other has a table of its own."""
     cue = UnknownCurvature(SpaceMap(IN_SPACE), 0.02)
@@ -382,6 +385,7 @@ def test_an_unknown_friction_or_curvature_mixes_posteriors_of_those_that_are_kno
     assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.9, abs=0.01)
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 def test_jnds_are_those_of_the_information():
     observer = ww.Observer(CURVED, SpaceMap())
     place = np.array([[30e-3, 0.25, 2.0]])
@@ -426,6 +430,7 @@ def test_what_space_does_not_know_is_refused():
         UnknownStiffness(UnknownRoll(SpaceMap(), 0.3))
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 def test_directions_are_read_on_a_circle():
     """Directions on either side of π gave an azimuth of 0, on the other side of the whisker."""
     observer = ww.Observer(W, SpaceMap())
@@ -475,6 +480,7 @@ def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
         assert found[i] == pytest.approx(same, rel=1e-9)
 
 
+@pytest.mark.slow  # layers of two unknowns in space take a minute
 @pytest.mark.parametrize(("changed", "spread"), [({}, 1e-6), ({"curvature": 0.0}, 0.3)])
 def test_a_roll_that_is_known_or_has_no_effect_leaves_the_rest_as_it_is(changed, spread):
     """Where the prior leaves nothing open, and where the whisker is straight."""
