@@ -319,7 +319,7 @@ def _between(share: Array) -> Array:
 # -- the judge ------------------------------------------------------------------------------------
 
 #: Error of mean and sd, in sds, that each engine promises: one unknown, and more.
-PROMISED = {"quadrature": (1e-5, 1e-2), "emcee": (0.02, 0.03), "laplace": (0.25, 0.25)}
+PROMISED = {"quadrature": (2e-3, 2e-3), "emcee": (0.02, 0.03), "laplace": (0.25, 0.25)}
 #: How well the sum must know its own answer to judge, in sds: one unknown, and more.
 UNKNOWN = (1e-3, 1e-2)
 #: How many times its claimed error an engine may be off: a Monte Carlo error is a standard error.

@@ -22,7 +22,7 @@ HERE = Path(__file__).parent.parent.parent / "weberwhisk"
 
 TRACE = """
 import json, sys, threading
-import numpy as np, weberwhisk as ww, weberwhisk.posterior
+import numpy as np, weberwhisk as ww, weberwhisk.inference
 root = ww.__path__[0]
 w = ww.Whisker(50e-3, 100e-6, 5e-6)
 o = ww.Observer(w, ww.cues.ForceMap(), ww.receptors.Weber(0.1))
