@@ -587,6 +587,7 @@ def test_priors_of_your_own_with_an_unknown_roll_are_those_of_a_plain_sum(prior)
         assert estimate.sd == pytest.approx(sd[i], rel=off)
 
 
+@pytest.mark.slow
 def test_jnds_count_what_is_not_known_of_the_roll():
     place = np.array([[30e-3, 0.25, 1.5, 0.0]])
     jnds = []
@@ -616,7 +617,7 @@ def test_choices_by_it_are_encoded_and_kept_in_plans():
         assert decode(encode(encoding)) == encoding
 
 
-@pytest.mark.parametrize("rolls", [False, True])
+@pytest.mark.parametrize("rolls", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
     """Turned by −1 rad a contact has the same posterior: it ended at the prior's end, at π."""
 
@@ -631,12 +632,15 @@ def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
     p, q = ww.posterior(ahead, reading), ww.posterior(behind, turned)
     assert p.status == q.status == ww.Status.CONVERGED
     for name, found in q.estimates.items():
-        shift = 1.0 if name in ("azimuth", "roll") else 0.0
-        assert p.estimates[name].mean == pytest.approx(found.mean + shift, abs=1e-3 * found.sd)
+        off = p.estimates[name].mean - found.mean - (name in ("azimuth", "roll"))
+        off -= 2 * np.pi * np.round(off / (2 * np.pi))
+        assert off == pytest.approx(0, abs=1e-3 * found.sd)
         assert p.estimates[name].sd == pytest.approx(found.sd, rel=1e-3)
-    assert p.interval(of="azimuth")[1] > np.pi
+    low, high = p.interval(of="azimuth")
+    assert low < -np.pi < high or low < np.pi < high
 
 
+@pytest.mark.slow
 def test_draws_and_laplace_agree_with_the_sums_of_an_unknown_roll():
     _, unknown = known_and_unknown(0.3)
     reading = unknown.read([30e-3, 0.25, 2.0, 0.2], seed=4)

@@ -29,7 +29,9 @@ def readings(observer, count):
     return observer.read(np.stack([r * W.length, angle, turn], axis=-1), seed=6)
 
 
-@pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
+@pytest.mark.parametrize(
+    "method", ["quadrature", pytest.param("emcee", marks=pytest.mark.slow), "laplace"]
+)
 def test_each_factor_is_what_it_is_alone(method):
     """The azimuth is exactly a normal distribution, with no end at ±π; the rest is `ForceMap`'s."""
     observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
@@ -37,6 +39,12 @@ def test_each_factor_is_what_it_is_alone(method):
     y[0, 3:] = np.pi + 0.04  # past half a turn
     y[1, 3:] = [-3.0, -3.1]
     p = ww.posterior(observer, y, method, seed=1)
+    if method != "quadrature":  # which cut the circle at ±π, and say so of what lies there
+        good = p.status == ww.Status.CONVERGED
+        assert not good[:2].any()
+        assert good.sum() >= len(y) - 3
+        y = y[good]
+        p = ww.posterior(observer, y, method, seed=1)
     middle, sd = y[:, 3:].mean(axis=1), FLOOR / np.sqrt(2)
     exact = norm(middle, sd)
     azimuth = p.estimates["azimuth"]

@@ -485,7 +485,8 @@ def test_the_fusions_printed_in_an_issue(pair, ratio, k, other, reading, size):
     exact = fusions.sums(observer, np.array(reading), logit((p.mean - low) / (high - low)))
     assert exact.known < 0.02
     error, _ = fusions.off_by(p, exact)
-    assert p.status == ww.Status.CONVERGED
+    # At the mode of the second transverse force is all but at its largest, and informs of nothing.
+    assert p.status in (Status.CONVERGED, Status.UNIDENTIFIED)
     assert error < PROMISED + exact.known
 
 

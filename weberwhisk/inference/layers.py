@@ -260,15 +260,25 @@ class LayeredSums:
                     np.zeros((count, inner)), np.zeros(count),
                 )  # fmt: skip
             node = self.nodes[key]
-            wanted = np.isnan(node.log[rows])
             if bound is not None and key in bound:
                 without, guess = bound[key]
-                without = wanted & without
+                without = np.isnan(node.log[rows]) & without
                 node.log[rows[without]] = -np.inf
                 node.guess[rows[without]] = guess[without]
-                wanted &= ~without
+        new = [key for key in every if np.isnan(self.nodes[key].log[rows]).any()]
+        best = self._table(keys, rows, "log").reshape(-1, len(rows))
+        best = np.where(np.isnan(best), -np.inf, best).max(axis=0)
+        if not before:  # first the node where each reading is most probable at a glance
+            glimpse = np.stack([self._glimpse(key, rows) for key in new])
+            most = glimpse.argmax(axis=0)
+            for i in np.unique(most):
+                self._ask(new[i], rows[most == i], best[most == i])
+                best[most == i] = self.nodes[new[i]].log[rows[most == i]]
+        for key in new:
+            wanted = np.isnan(self.nodes[key].log[rows])
             if wanted.any():
-                self._ask(node, key, rows[wanted])
+                self._ask(key, rows[wanted], best[wanted])
+                np.maximum(best, self.nodes[key].log[rows], out=best)
 
     def _bound(
         self, keys: list[Index], rows: Index, halvings: Index, before: Index
@@ -310,17 +320,34 @@ class LayeredSums:
                 out[key] = without, np.mean([log[i] for i in beside], axis=0)
         return out
 
-    def _ask(self, node: _Node, key: tuple[int, ...], rows: Index) -> None:
+    def _asked(self, key: tuple[int, ...], rows: Index) -> tuple[Array, Array | None, Any]:
+        """What to ask of the tree at a node, and ln of the Jacobian and of the prior there."""
         readings, slope = self.readings[rows], 0.0
         covariance = None if self.covariance is None else self.covariance[rows]
         for axis, k in zip(self.axes, key, strict=True):
             readings, covariance, own = axis.asked(readings, covariance, k)
             slope += own + float(axis.log_prior(k))
-        # Far from the mass readings are improbable, and what they have there is of no interest.
-        found = self.layers.tree(key).sums(readings, covariance, drop=self.drop, walks=1)
+        return readings, covariance, slope
+
+    def _glimpse(self, key: tuple[int, ...], rows: Index) -> Array:
+        """About how probable readings are at a node, in nats."""
+        readings, covariance, slope = self._asked(key, rows)
+        return np.asarray(self.layers.tree(key).glimpse(readings, covariance) + slope)
+
+    def _ask(self, key: tuple[int, ...], rows: Index, best: Array) -> None:
+        """Sum over the cells at a node; `best` is ln of the evidence at another, which ends it.
+
+        Far from their mass readings are improbable, and cells that could still give them are small
+        and many.
+        """
+        node, (readings, covariance, slope) = self.nodes[key], self._asked(key, rows)
+        least = best - 2 * self.drop
+        found = self.layers.tree(key).sums(
+            readings, covariance, drop=self.drop, least=least - slope
+        )
         known = np.isfinite(found.log_evidence)
         node.log[rows] = np.where(known, found.log_evidence + slope, -np.inf)
-        node.guess[rows] = np.maximum(node.log[rows], -1e5)
+        node.guess[rows] = np.maximum(np.where(known, node.log[rows], least), -1e5)
         node.mean[rows], node.sd[rows] = np.nan_to_num(found.mean), np.nan_to_num(found.sd)
         node.error[rows] = np.where(known, found.error, 0.0)
         node.parts.append((rows, found))
@@ -572,23 +599,9 @@ class LayeredSums:
             further = [axis.value(k) for axis, k in zip(self.axes, node.T, strict=True)]
             contact, log_density = self.observer.contact(some, further=further)
             log_density += sum(a.log_prior(k) for a, k in zip(self.axes, node.T, strict=True))
-            reading = self.readings[row]
-            log_density += self.observer.log_likelihood(self._near(reading, contact), contact)
+            log_density += self.observer.log_likelihood(self.readings[row], contact)
             chosen = Draws.resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]
-        return out
-
-    def _near(self, reading: Array, contact: Array) -> Array:
-        """The reading, its directions counted in whole turns to be near each contact's azimuth."""
-        around = [i for i, axis in enumerate(self.axes) if axis.around]
-        turning = np.flatnonzero(self.observer.cue.circular)
-        if not (around and turning.size and self.observer.noise.reads_signals):
-            return reading
-        azimuth = contact[:, self.layers.inner + around[0]]
-        out = np.tile(reading, (len(contact), 1))
-        out[:, turning] -= (
-            2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
-        )
         return out
 
 
@@ -625,7 +638,10 @@ def _mixed(
         table = np.moveaxis(table, 0, d) if table.shape[d] != len(fine) else table
     log, quantile = table[..., 0].ravel(), table[..., 1:].reshape(-1, len(scores))
     heavy = log > log.max() - 18.0
-    quantile = np.maximum.accumulate(quantile[heavy], axis=1)
+    # Between scores mass is all but that of a Gaussian, which is not spread evenly.
+    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
+    quantile = make_interp_spline(scores, quantile[heavy], k=3, axis=1)(fine)
+    quantile, scores = np.maximum.accumulate(quantile, axis=1), fine
     mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
     low, high = quantile[:, :-1], quantile[:, 1:]
     return Spans(rows, low.reshape(1, -1), high.reshape(1, -1), mass.reshape(1, -1))

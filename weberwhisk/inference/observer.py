@@ -453,8 +453,23 @@ class Observer:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
         signals, outcome = self.signals(contact)
         held = outcome == Outcome.HELD
+        reading = self.unwrapped(reading, contact)
         value = self.noise.log_likelihood(reading, np.where(held[..., None], signals, 1.0))
         return np.where(held, value, -np.inf)
+
+    def unwrapped(self, reading: ArrayLike, contact: ArrayLike) -> Array:
+        """Readings (..., R), directions counted in whole turns to be near contacts' azimuths.
+
+        Where the azimuth has no ends, that is; elsewhere as they are.
+        """
+        reading, turning = np.asarray(reading, dtype=float), np.flatnonzero(self.cue.circular)
+        if not (turning.size and self.noise.reads_signals and is_all_around(self.prior["azimuth"])):
+            return reading
+        azimuth = np.asarray(contact)[..., self.unknowns.index("azimuth")]
+        turns = np.round((reading[..., turning[0]] - azimuth) / (2 * np.pi))
+        out = np.broadcast_to(reading, (*turns.shape, reading.shape[-1])).copy()
+        out[..., turning] -= 2 * np.pi * turns[..., None]
+        return out
 
     def log_density(self, x: ArrayLike, reading: ArrayLike) -> Array:
         """ln of the posterior density in the coordinates x, up to the evidence, (...)."""

@@ -18,7 +18,7 @@ from .result import (
     Estimate,
     Solution,
     Status,
-    is_outside,
+    is_improbable,
     is_unidentified,
     refuse_impossible,
 )
@@ -88,12 +88,11 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
             mode = find_mode(observer, reading[some], observer.coordinates(best[some])).x
             some = some[is_unidentified(observer, observer.contact(mode)[0])]
         status[some] = Status.UNIDENTIFIED
-    outside = is_outside(observer.noise, reading, observer.signals(best)[0])
+    outside = is_improbable(observer, reading, best)
     vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
     if vague.size:  # whose best cell may be the wrong one
         mode = find_mode(observer, reading[vague]).x
-        at = observer.contact(mode)[0]
-        outside[vague] = is_outside(observer.noise, reading[vague], observer.signals(at)[0])
+        outside[vague] = is_improbable(observer, reading[vague], observer.contact(mode)[0])
     status[outside] = Status.IMPROBABLE_READING
     ends = np.cumsum([len(part.error) for part in parts])[:-1]
 

@@ -324,7 +324,8 @@ def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Est
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> Flags:
     """Readings with a number more than 5 sd from what their own most probable contact gives."""
-    return is_outside(observer.noise, reading, observer.signals(contact)[0])
+    signals = observer.signals(contact)[0]
+    return is_outside(observer.noise, observer.unwrapped(reading, contact), signals)
 
 
 def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:

@@ -15,7 +15,7 @@ from .._values import Array, Index, interval_text
 from .observer import Observer
 from .one_distance import Group, OneDistance, one_distance, quantiles_of, shared_unknowns
 from .quadrature import TOLERANCE
-from .result import Status, is_outside, is_unidentified
+from .result import Status, is_improbable, is_unidentified
 
 __all__ = ["Touches", "shared_unknowns", "touches"]
 
@@ -158,7 +158,7 @@ def _status(observer: Observer, y: Array, found: OneDistance) -> Status:
         return Status.IMPROBABLE_READING
     each = np.unique(y, axis=0)
     contact = _best_contacts(observer, each, found)
-    if is_outside(observer.noise, each, observer.signals(contact)[0]).any():
+    if is_improbable(observer, each, contact).any():
         return Status.IMPROBABLE_READING
     # What is no wider than the reach by far is known.
     wide = found.sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])

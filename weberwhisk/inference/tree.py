@@ -120,7 +120,7 @@ class OtherTerm:
         if length is None:
             return np.asarray(log)
         best = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(log)))
-        return np.asarray((log - best) / (1 + length**2))
+        return np.asarray(best + (log - best) / (1 + length**2))
 
 
 # -- cells -----------------------------------------------------------------------------------------
@@ -372,13 +372,14 @@ class Tree:
 
     def sums(
         self, readings: Array, covariance: Array | None = None, *, drop: float = DROP,
-        walks: int = WALKS,
+        least: Array | None = None,
     ) -> Sums:  # fmt: skip
         """The weighted cells of readings (B, R), and their moments.
 
         With the covariances (B, R, R) of measurement errors, which add to the receptors' noise;
         cells whose density is `drop` nats below the highest are left out. A reading some of whose
-        cells were left out too early walks again, `walks` times in all at most.
+        cells were left out too early walks again, three times in all at most; with `least` (B,)
+        none does, and those whose ln of the density is nowhere above that have no sums.
         """
         out = Sums.of(len(readings), self.unknowns, self.observer)
         start = self.start
@@ -391,18 +392,31 @@ class Tree:
                 self.forget()
             rows = np.arange(begin, min(begin + size, len(readings)))
             deeper = np.full(len(rows), drop)
-            for _ in range(walks):
+            for _ in range(WALKS if least is None else 1):
                 own = None if covariance is None else covariance[rows]
                 walk = _Walk(self, readings[rows], own, rows, deeper, out)
-                walk.run()
-                missed = walk.missed()
-                rows, deeper = rows[missed > 0], (deeper + missed)[missed > 0]
+                walk.run(np.full(len(rows), -np.inf) if least is None else least[rows])
+                missed = walk.missed(drop)
+                rows, deeper = rows[missed > 0], (deeper + missed + 1)[missed > 0]
                 if not rows.size:
                     break
-            if walks > 1:
+            if least is None:
                 out.error[rows] = np.inf
         # That of a log-normal reading whose sign is not its signal's.
         out.log_evidence[out.log_evidence < -1e8] = np.nan
+        return out
+
+    def glimpse(self, readings: Array, covariance: Array | None = None) -> Array:
+        """ln of the highest density of readings (B, R) as coarse cells have it, (B,)."""
+        out, count = np.full(len(readings), -np.inf), self.start.count
+        size = max(1, PAIRS // max(count, 1))
+        for begin in range(0, len(readings) if count else 0, size):
+            rows = np.arange(begin, min(begin + size, len(readings)))
+            own = None if covariance is None else covariance[rows]
+            walk = _Walk(self, readings[rows], own, rows, np.zeros(len(rows)), None)
+            task = walk.first()
+            log = walk.log(task.level, task.row, task.cell, blurred=True)
+            out[rows] = log.reshape(len(rows), count).max(axis=1) + walk.log_slope
         return out
 
 
@@ -420,7 +434,7 @@ class _Walk:
 
     def __init__(
         self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: Array,
-        out: Sums,
+        out: Any,
     ) -> None:  # fmt: skip
         self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
         self.readings, self.covariance = readings, covariance
@@ -431,24 +445,30 @@ class _Walk:
         #: The highest density of a cell that was left out, blurred, and of those that were not.
         self.left_out, self.highest = np.full((2, len(rows)), -np.inf)
 
-    def missed(self) -> Array:
-        """By how many nats what was left out may be above what should have been, (n,).
+    def missed(self, drop: float) -> Array:
+        """By how many nats what was left out may be less than `drop` below the highest, (n,).
 
         Wide cells have densities of readings that are improbable everywhere which their halves
         have not: beside those the right ones were given up.
         """
         known = np.isfinite(self.highest) & np.isfinite(self.left_out)
         gap = np.zeros(len(known))
-        gap[known] = self.left_out[known] - self.highest[known] + self.drop[known]
+        gap[known] = self.left_out[known] - self.highest[known] + drop
         return np.maximum(gap, 0.0)
 
-    def run(self) -> None:
+    def first(self) -> _Task:
+        """All readings beside all coarse cells."""
         start, n = self.tree.start, len(self.rows_out)
         row, cell = np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n)
-        todo = [_Task(start, row, cell, False)]
+        return _Task(start, row, cell, False)
+
+    def run(self, least: Array) -> None:
+        """From the coarse cells on, but for readings whose density is nowhere above `least`."""
+        least = least - self.log_slope
+        todo = [self.first()]
         while todo:
             task = todo.pop()
-            log = self._log(task.level, task.row, task.cell, blurred=not task.last)
+            log = self.log(task.level, task.row, task.cell, blurred=not task.last)
             first = np.flatnonzero(np.diff(task.row, prepend=-1))
             top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(task.row)))
             with np.errstate(invalid="ignore"):
@@ -456,7 +476,8 @@ class _Walk:
                 if not task.last:
                     depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
             # Four nats more on the way, as cells are judged by their middles.
-            kept = depth > -(self.drop if task.last else self.drop + 4)[task.row]
+            kept = top >= least[task.row]
+            kept &= depth > -(self.drop if task.last else self.drop + 4)[task.row]
             if task.last:
                 self.highest[task.row[first]] = np.maximum.reduceat(log, first)
             else:
@@ -468,7 +489,7 @@ class _Walk:
                 level, row, cell = task.level, task.row[kept], task.cell[kept]
                 todo += step(level, row, cell, log[kept], (log - top)[kept])
 
-    def _log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
+    def log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
         """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""
         tree, rows, data = self.tree, self.tree.rows, level.data
         if self.covariance is not None:
