@@ -88,9 +88,8 @@ def lost(observer: ww.Observer, contact: Any, reading: Any) -> Any:
     found = sums_of(observer, reading)
     out = []
     for i in range(len(reading)):
-        leaves = next(found._current(np.arange(len(reading)) == i))
-        place = leaves.level.data[found._places.place][:, leaves.cell].T
-        inside = (place == np.floor(x[i] / leaves.level.step)).all(axis=1).any()
+        leaves = next(found.leaves(np.arange(len(reading)) == i))
+        inside = (leaves.place.T == np.floor(x[i] / leaves.step)).all(axis=1).any()
         if density[i] > leaves.log.max() - NATS and not inside:
             out.append(i)
     return np.array(out, dtype=int)
@@ -129,9 +128,7 @@ def importance(observer: ww.Observer, reading: Any, draws: int, seed: int) -> di
     drawn, signals = drawn[held], signals[held]
     found, circular = sums_of(observer, reading), np.flatnonzero(observer.cue.circular)
     ratio, error, off = [], [], []
-    for y, log, middle, sd in zip(
-        reading, found.log_evidence, found.mean, found.sd, strict=True
-    ):
+    for y, log, middle, sd in zip(reading, found.log_evidence, found.mean, found.sd, strict=True):
         near, value = np.tile(y, (len(signals), 1)), drawn - middle
         if circular.size:
             at = observer.unknowns.index("azimuth")

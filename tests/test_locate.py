@@ -481,9 +481,7 @@ def test_priors_of_your_own_may_be_sharp_or_leap(name, prior):
     plain = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(0.1))
     readings = plain.read(contact, seed=1)
     table = pd.DataFrame(readings, columns=["moment", "axial_force"]).assign(touch=1)
-    located = ww.locate(
-        table, whisker, prior={name: prior}, cue=ww.cues.ForceMap(), touch="touch"
-    )
+    located = ww.locate(table, whisker, prior={name: prior}, cue=ww.cues.ForceMap(), touch="touch")
     share = (np.arange(1200) + 0.5) / 1200
     if name == "radial_distance":
         r, angle = prior.ppf(share), share[None]

@@ -410,9 +410,7 @@ def _rows(
     return _Located(numbers, status)
 
 
-def _is_improbable(
-    observer: Observer, y: Array, covariance: Array | None, contact: Array
-) -> Flags:
+def _is_improbable(observer: Observer, y: Array, covariance: Array | None, contact: Array) -> Flags:
     """Rows with a signal more than 5 sd from that of their most probable contact."""
     signals = observer.signals(contact)[0]
     variance = observer.noise.sd(signals) ** 2

@@ -291,12 +291,15 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     found = tree_of(observer, 2e-3).sums(rows, drop=41.0)
     counts = np.zeros(len(rows), dtype=int)
     for at, start, step, log in found.marginals():
-        x, fine = interpolate(log, 8)
-        place = start[:, None] + step * x
-        log_slope = observer.space.constrain(place[..., None])[1]
-        for row, density, slope in zip(at, fine, log_slope, strict=True):
-            weight = np.exp(density - density.max())
-            counts[row] = _count(density - slope, weight / weight.sum(), share)
+        # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.
+        cells = start[:, None] + step * np.arange(log.shape[1])
+        x, density = interpolate(log - observer.space.constrain(cells[..., None])[1], 8)
+        log_slope = observer.space.constrain((start[:, None] + step * x)[..., None])[1]
+        last = log.shape[1] - 1 - np.isfinite(log[:, ::-1]).argmax(axis=1)
+        for row, own, slope, end in zip(at, density, log_slope, last, strict=True):
+            weight = np.exp(own + slope - (own + slope).max())
+            weight[(x < 1) | (x > end - 1)] = 0.0  # next to what is not known cubics bend
+            counts[row] = _count(own, weight / weight.sum(), share)
     return counts if y.ndim > 1 else counts[0]
 
 

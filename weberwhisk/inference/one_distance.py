@@ -212,10 +212,8 @@ def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
 
     It integrates to the evidence.
     """
-    place = found._places
-    for leaves in found._current():
-        step, data = leaves.level.step, leaves.level.data
-        layer = data[place.place.start, leaves.cell].astype(np.intp)
+    for leaves in found.leaves():
+        step, layer = leaves.step, leaves.place[0].astype(np.intp)
         low = np.minimum.reduceat(layer, leaves.first)
         owner = leaves.owner
         layer -= low[owner]
@@ -224,7 +222,7 @@ def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
         weight = np.exp(leaves.log - top[owner])
         within = np.ones((1, len(weight)))
         if spans is not None:
-            contact = data[place.contact][:, leaves.cell].T
+            contact = found.observer.contact_at((leaves.place.T + 0.5) * step)
             further = getattr(found.observer, "further", ())
             own = np.column_stack([contact, np.tile(further, (len(contact), 1))])
             whole = getattr(found.observer, "observer", found.observer)

@@ -58,6 +58,11 @@ def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     """Posteriors of readings (B, R) by quadrature."""
+    if len(observer.unknowns) > 4:
+        raise ValueError(
+            f"Quadrature sums over four unknowns at most, got {len(observer.unknowns)} "
+            f"({', '.join(observer.unknowns)}); write method=\"emcee\"."
+        )
     wanted = tolerance or TOLERANCE
     if observer.noise.is_categorical and len(reading) > 1:
         # Few things can happen: each is summed once.

@@ -600,9 +600,12 @@ class _Walk:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
-        leaves = Leaves(level, self.rows_out[own], first, cell, log)
-        each = self.out.add(leaves, self.tree.rows, self.log_slope[own], self.tree.smooth)
-        error = self.out.error[self.rows_out[own]]
+        rows, out = self.tree.rows, self.rows_out[own]
+        place = level.data[rows.place][:, cell].astype(np.int32)
+        contact = level.data[rows.contact][:, cell]
+        leaves = Leaves(level.step, out, first, place, log)
+        each = self.out.add(leaves, contact, self.log_slope[own], self.tree.smooth)
+        error = self.out.error[out]
         wide = (each > 0.5 * each.max(axis=0)) & (error > self.tree.tolerance)
         self.refined[own] += wide.any(axis=0)
         stop = ~wide.any(axis=0) | (self.refined[own] > self.tree.refinements)
@@ -627,10 +630,9 @@ _kept: OrderedDict[tuple[Any, float], Tree] = OrderedDict()
 def tree_of(observer: TreeObserver, tolerance: float) -> Tree:
     """The tree of an observer, kept for the next reading; the least used go first."""
     key = observer, tolerance
-    if key not in _kept:
-        total = sum(tree.bytes for tree in _kept.values())
-        while total > MEMORY:
-            total -= _kept.popitem(last=False)[1].bytes
-        _kept[key] = Tree(observer, tolerance)
-    _kept.move_to_end(key)
-    return _kept[key]
+    tree = _kept.pop(key, None) or Tree(observer, tolerance)
+    total = sum(other.bytes for other in _kept.values()) + tree.bytes
+    while total > MEMORY and _kept:
+        total -= _kept.popitem(last=False)[1].bytes
+    _kept[key] = tree
+    return tree

@@ -25,16 +25,16 @@ OVER = 4
 
 
 class Leaves(NamedTuple):
-    """The last cells of some readings, all of one level: pairs sorted by reading.
+    """The last cells of some readings, all of one step (U,): pairs sorted by reading.
 
-    Rows (n,) of the readings, where the pairs of each begin (n,), and of each pair the cell and ln
-    of the density (P,).
+    Rows (n,) of the readings, where the pairs of each begin (n,), and of each pair the place of the
+    cell in steps (U, P) and ln of the density (P,).
     """
 
-    level: Any
+    step: Array
     rows: Index
     first: Index
-    cell: Index
+    place: Index
     log: Array
 
     @property
@@ -108,7 +108,6 @@ class Sums:
     best: Array
     _part: Index
     _leaves: list[Leaves] = field(default_factory=list)
-    _places: Any = None
 
     @classmethod
     def of(cls, count: int, unknowns: int, observer: Any) -> Sums:
@@ -118,31 +117,29 @@ class Sums:
         return cls(observer, nan, nan.copy(), np.full(count, np.inf), none, nan.copy(),
                    np.full(count, -1))  # fmt: skip
 
-    def add(self, leaves: Leaves, rows: Any, log_slope: Array, smooth: bool) -> Array:
+    def add(self, leaves: Leaves, contact: Array, log_slope: Array, smooth: bool) -> Array:
         """Sum over leaves in place of any that their readings had: by how much halves differ.
+
+        With the contacts (U, P) of the cells.
 
         The error of the trapezoidal rule at a step h is that at 2h to the fourth power for a
         Gaussian, and to the second for an edge: the square of what sums over every other cell
         along one axis (U, n) differ by; that itself where the density has kinks. (Halves as on a
         chessboard see nothing of ridges oblique to both axes: 560 of 1025 errors were so missed.)
         """
-        level, at, first, cell, log = leaves
-        self._places = rows
-        data, owner = level.data, leaves.owner
-        unknowns = len(level.step)
+        step, at, first, place, log = leaves
+        owner, unknowns = leaves.owner, len(step)
         top = np.maximum.reduceat(log, first)
         weight = np.exp(log - top[owner])
         total = np.add.reduceat(weight, first)
-        even = [data[rows.place.start + i][cell].astype(np.int64) & 1 for i in range(unknowns)]
-        signs = [1.0 - 2.0 * e for e in even]
+        signs = 1.0 - 2.0 * (place & 1)
         each = np.zeros((unknowns, len(at)))
         halves = [np.add.reduceat(weight * s, first) for s in signs]
         for d in range(unknowns):
             each[d] = np.abs(halves[d]) / total
         for i in range(unknowns):
-            value = data[rows.contact.start + i][cell]
-            origin = value[first]
-            value = value - origin[owner]
+            origin = contact[i][first]
+            value = contact[i] - origin[owner]
             weighted = weight * value
             mean = np.add.reduceat(weighted, first) / total
             value -= mean[owner]
@@ -165,13 +162,15 @@ class Sums:
         each = np.minimum(each, 1e100)
         worst = np.max(each, axis=0)
         self.error[at] = worst**2 if smooth else worst
-        self.log_evidence[at] = top + np.log(total) + np.log(level.step).sum() + log_slope
-        self.best[at] = data[rows.contact][:, cell[self._highest(leaves, top, owner)]].T
+        self.log_evidence[at] = top + np.log(total) + np.log(step).sum() + log_slope
+        highest = np.flatnonzero(log == top[owner])
+        highest = highest[np.unique(owner[highest], return_index=True)[1]]
+        self.best[at] = contact[:, highest].T
         self._part[at] = len(self._leaves)
-        self._leaves.append(leaves._replace(cell=cell.astype(np.int32)))
+        self._leaves.append(leaves)
         return each
 
-    def _current(self, among: Flags | None = None) -> Iterator[Leaves]:
+    def leaves(self, among: Flags | None = None) -> Iterator[Leaves]:
         """Leaves, but for those that were summed again, of readings `among` (B,) if given."""
         for i, leaves in enumerate(self._leaves):
             mine = self._part[leaves.rows] == i
@@ -183,7 +182,7 @@ class Sums:
                 counts = np.diff(leaves.first, append=len(leaves.log))
                 some = np.repeat(mine, counts)
                 first = np.append(0, np.cumsum(counts[mine])[:-1])
-                yield Leaves(leaves.level, leaves.rows[mine], first, leaves.cell[some],
+                yield Leaves(leaves.step, leaves.rows[mine], first, leaves.place[:, some],
                              leaves.log[some])  # fmt: skip
 
     # -- along one axis ----------------------------------------------------------------------------
@@ -194,9 +193,8 @@ class Sums:
         For some rows (n,) at a time: the first place (n,), the step, and ln of the density (n, L),
         −inf where there is no cell.
         """
-        for leaves in self._current(among):
-            step = leaves.level.step
-            place = leaves.level.data[self._places.place.start, leaves.cell].astype(np.intp)
+        for leaves in self.leaves(among):
+            step, place = leaves.step, leaves.place[0].astype(np.intp)
             low = np.minimum.reduceat(place, leaves.first)
             owner = leaves.owner
             place -= low[owner]
@@ -219,7 +217,7 @@ class Sums:
                 value = self.observer.space.distance(start[:, None] + step * x)
                 yield _between(rows, value, log)
             return
-        for leaves in self._current(among):
+        for leaves in self.leaves(among):
             # Some 4 million numbers at once.
             size = max(1, 500_000 * len(leaves.rows) // (PARTS[1] * len(leaves.log)))
             bounds = np.append(leaves.first, len(leaves.log))
@@ -227,8 +225,8 @@ class Sums:
                 end = min(begin + size, len(leaves.rows))
                 pairs = slice(bounds[begin], bounds[end])
                 some = Leaves(
-                    leaves.level, leaves.rows[begin:end], bounds[begin:end] - bounds[begin],
-                    leaves.cell[pairs], leaves.log[pairs],
+                    leaves.step, leaves.rows[begin:end], bounds[begin:end] - bounds[begin],
+                    leaves.place[:, pairs], leaves.log[pairs],
                 )  # fmt: skip
                 yield self._spans_of_angle(some, stride)
 
@@ -237,13 +235,12 @@ class Sums:
 
         The mass of each is spread evenly from the least to the most that it has at its corners.
         """
-        step, n = leaves.level.step, len(leaves.rows)
-        start = self._places.place.start
+        step, n = leaves.step, len(leaves.rows)
         owner = leaves.owner
         top = np.maximum.reduceat(leaves.log, leaves.first)
         kept = leaves.log > (top - DEPTH)[owner]
         owner = owner[kept]
-        place = leaves.level.data[start : start + 2, leaves.cell[kept]].astype(np.intp)
+        place = leaves.place[:, kept].astype(np.intp)
         first = np.flatnonzero(np.diff(owner, prepend=-1))
         low = np.minimum.reduceat(place, first, axis=1)
         place -= low[:, owner]
@@ -264,11 +261,6 @@ class Sums:
         density = np.exp(log - top[:, None, None])
         return _of_cells(leaves.rows, inside, value, density)
 
-    def _highest(self, leaves: Leaves, top: Array, owner: Index) -> Index:
-        """The pair of highest density of each reading, (n,)."""
-        best = np.flatnonzero(leaves.log == top[owner])
-        return best[np.unique(owner[best], return_index=True)[1]]
-
     def quantiles(self, p: Array, unknown: int, among: Flags | None = None) -> Array:
         """Quantiles (B, Q) of an unknown, of readings `among` (B,) alone if given."""
         return extrapolated(self, p, unknown, among)
@@ -282,12 +274,12 @@ class Sums:
         elsewhere in them.
         """
         among = np.arange(len(self.error)) == row
-        leaves = next(self._current(among))
-        step, top = leaves.level.step, leaves.log.max()
+        leaves = next(self.leaves(among))
+        step, top = leaves.step, leaves.log.max()
         weight = np.exp(0.75 * (leaves.log - top))
         weight /= weight.sum()
         chosen = rng.choice(len(weight), count, p=weight)
-        middle = leaves.level.data[self._places.place][:, leaves.cell[chosen]].T + 0.5
+        middle = leaves.place[:, chosen].T + 0.5
         x = (middle + rng.random(middle.shape) - 0.5) * step
         return Draws(x, np.log(weight[chosen]) - np.log(step).sum())
 

@@ -24,7 +24,7 @@ from ..cues import (
     VibrissaLength,
 )
 from ..inference import posterior
-from ..inference.observer import Observer
+from ..inference.observer import Observer, default_noise
 from ..jnd import weber_propagation
 from ..mechanics import (
     bend,
@@ -118,7 +118,7 @@ def triangle() -> str:
 def out_of_the_plane() -> str:
     tilts = np.radians([20.0, 40.0, 60.0])
     slips = weber_propagation(
-        Observer(WHISKER, LateralSlip(), Weber(K)),
+        Observer(WHISKER, LateralSlip(), default_noise(WHISKER, LateralSlip(), K)),
         np.stack([np.full(3, 0.5 * L), tilts], axis=-1),
     )
     ratio = slips / (K * L) / _compliance_jnd(WHISKER, np.array([0.5]))
