@@ -548,8 +548,8 @@ class LayeredSums:
             table = np.full((len(self.readings), len(SCORES)), np.nan)
             for rows, found in node.parts:
                 wanted = node.log[rows] > self.log_evidence[rows] - self.drop
-                if wanted.any():
-                    table[rows] = found.quantiles(ndtr(SCORES), unknown, wanted)
+                if wanted.any():  # half as fine as where there are no nodes
+                    table[rows] = extrapolated(found, ndtr(SCORES), unknown, 2, wanted)
             self._quantiles[key, unknown] = table
         return self._quantiles[key, unknown]
 

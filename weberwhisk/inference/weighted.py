@@ -209,7 +209,7 @@ class Sums:
     def spans(self, unknown: int, stride: int = 1, among: Flags | None = None) -> Iterator[Spans]:
         """Spans of an unknown, for some readings at a time, `among` (B,) alone if given.
 
-        At every second point with a stride of 2.
+        At every second point with a stride of 2, at every fourth with one of 4.
         """
         if unknown == 0:
             for rows, start, step, log in self.marginals(among):
@@ -261,9 +261,9 @@ class Sums:
         density = np.exp(log - top[:, None, None])
         return _of_cells(leaves.rows, inside, value, density)
 
-    def quantiles(self, p: Array, unknown: int, among: Flags | None = None) -> Array:
-        """Quantiles (B, Q) of an unknown, of readings `among` (B,) alone if given."""
-        return extrapolated(self, p, unknown, among)
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown."""
+        return extrapolated(self, p, unknown)
 
     # -- draws -------------------------------------------------------------------------------------
 
@@ -360,10 +360,10 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     return np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
 
 
-def extrapolated(sums: Any, p: Array, unknown: int, *among: Any) -> Array:
+def extrapolated(sums: Any, p: Array, unknown: int, stride: int = 1, *among: Any) -> Array:
     """Quantiles (B, Q) by spans, and by half as many: their error of second order is removed."""
     out = np.full((len(sums.error), len(p)), np.nan)
-    both = sums.spans(unknown, 1, *among), sums.spans(unknown, 2, *among)
+    both = sums.spans(unknown, stride, *among), sums.spans(unknown, 2 * stride, *among)
     for fine, coarse in zip(*both, strict=True):
         value = fine.quantiles(p)
         out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
