@@ -89,7 +89,7 @@ def lost(observer: ww.Observer, contact: Any, reading: Any) -> Any:
     out = []
     for i in range(len(reading)):
         leaves = next(found.leaves(np.arange(len(reading)) == i))
-        inside = (leaves.place.T == np.floor(x[i] / leaves.step)).all(axis=1).any()
+        inside = (np.floor(x[i] / leaves.step) == leaves.place.T).all(axis=1).any()
         if density[i] > leaves.log.max() - NATS and not inside:
             out.append(i)
     return np.array(out, dtype=int)

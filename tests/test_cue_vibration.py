@@ -6,6 +6,7 @@ from analysis_scripts import load
 from cue_checks import agrees_with_brute_force, covers, keeps_the_protocol, small_noise_limit
 from scipy import stats
 from scipy.optimize import brentq
+from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
@@ -192,9 +193,10 @@ def test_laplace_says_that_there_are_more_peaks_than_its_own(divided):
     assert not np.any(p.status[~apart] == Status.SEVERAL_PEAKS)
 
 
-def test_walkers_jump_from_peak_to_peak_or_say_why_not():
+@short_or_full("scenes", [(2, 0.1, 2)], [(2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)])
+def test_walkers_jump_from_peak_to_peak_or_say_why_not(scenes):
     """Converged, they are right; what a sample may well not see is said to be there."""
-    for count, k, size in ((2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)):
+    for count, k, size in scenes:
         observer = ww.Observer(W, Vibration(count), Weber(k))
         r = np.random.default_rng(1).uniform(5e-3, 48e-3, (size, 1))
         readings = observer.read(r, seed=2)

@@ -44,7 +44,7 @@ class TwoPlaces:
 CASES = {
     "two places": (
         ww.Observer(W, Compliance(), Weber(0.9), {"radial_distance": TwoPlaces()}),
-        [[15e-3]] * 4,
+        [[15e-3]] * 2,
     ),
     "two distances": (ww.Observer(W, TWO, TWO.joint(Weber(0.1), Weber(1.5))), [[20e-3, 0.2]] * 2),
     "shelf": (ww.Observer(W, Compliance(), Weber(0.3)), [[47.5e-3]] * 2),
@@ -54,7 +54,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", slow_but(CASES, (0, 3)))
+@pytest.mark.parametrize("case", slow_but(CASES, (0,)))
 def test_no_wrong_sd_is_called_converged(case):
     observer, contact = CASES[case]
     readings = observer.read(np.array(contact), seed=1)

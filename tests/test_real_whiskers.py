@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import brentq
 from scipy.special import expit
 from scipy.stats import kstest, uniform
-from short_forms import slow_but
+from short_forms import short_or_full, slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
@@ -733,14 +733,18 @@ def test_a_perfect_cone_has_an_uncertain_curvature():
 
 
 def test_a_named_whisker_says_where_nobody_knows_what_its_shape_does():
-    curved = ww.Whisker.from_identity("C2", curved=True)
-    assert "straight" not in Observer(curved, Friction(cues.SpaceMap())).note
     named = Observer(ww.Whisker.from_identity("C2"), ww.cues.Vibration(3))
     assert named.note.startswith("C2 is taken as straight: what its shape at rest does to this cue")
     assert Observer(whisker(20, 0.0), ww.cues.Vibration(3)).note == ""
 
 
-@pytest.mark.parametrize("curvature", [0.0, 8.0])
+@pytest.mark.slow
+def test_a_curved_whisker_that_rubs_in_space_is_not_taken_as_straight():
+    curved = ww.Whisker.from_identity("C2", curved=True)
+    assert "straight" not in Observer(curved, Friction(cues.SpaceMap())).note
+
+
+@short_or_full("curvature", 0.0, 8.0)
 def test_an_unknown_friction_is_summed_as_midpoints_are(curvature):
     """Tails near the base were left out, where a force turns its sign: sds 3e-4 off."""
     w, cue = whisker(15, curvature), Friction(ForceMap())

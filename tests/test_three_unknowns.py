@@ -277,11 +277,11 @@ def turned_sums(observer, reading, start, nodes=61, half=7.0):
 )
 def test_many_readings_and_one_have_the_same_posterior(observer):
     """Moments, quantiles and draws of all unknowns."""
-    reading = observer.read(prior_draws(observer, 150, seed=1), seed=2)
+    reading = observer.read(prior_draws(observer, 30, seed=1), seed=2)
     many = ww.posterior(observer, reading)
     assert many.method == "quadrature"
     quantiles = {name: many.quantile([0.025, 0.5, 0.975], of=name) for name in observer.unknowns}
-    for i in (149,):
+    for i in (29,):
         one = ww.posterior(observer, reading[i])
         draws = one.draws_of(1000, 3).reshape(-1, 3)
         for j, name in enumerate(observer.unknowns):

@@ -325,16 +325,17 @@ def test_a_touch_of_uncertain_curvature_is_its_posterior():
 
 def test_what_touches_share_does_not_average_out():
     """Of alike touches; touches that differ tell the stiffness from the distance."""
-    table = touches_jnd(SOFT, 28e-3, [0.2], [1, 40], n_readings=10, seed=3)
+    table = touches_jnd(SOFT, 28e-3, [0.2], [1, 40], n_readings=4, seed=3)
     assert table["fisher_mm"][0] == pytest.approx(table["root_n_mm"][0], rel=1e-6)
     assert table["fisher_mm"][1] > 3 * table["root_n_mm"][1]
     known = Observer(SOFT.whisker, cues.ForceMap(), SOFT.noise)
-    known = touches_jnd(known, 28e-3, [0.2], [40], n_readings=10, seed=3)
+    known = touches_jnd(known, 28e-3, [0.2], [40], n_readings=4, seed=3)
     assert table["posterior_mm"][1] > 2 * known["posterior_mm"][0]
-    differ = touches_jnd(SOFT, 28e-3, [0.1, 0.5], [40], n_readings=10, seed=3)
+    differ = touches_jnd(SOFT, 28e-3, [0.1, 0.5], [40], n_readings=2, seed=3)
     assert differ["fisher_mm"][0] < 0.7 * table["fisher_mm"][1]
 
 
+@pytest.mark.slow
 def test_intervals_of_touches_of_one_stiffness_hold_the_distance():
     rng = np.random.default_rng(7)
     hit = []

@@ -194,12 +194,10 @@ class ContactCoordinates:
     @cached_property
     def peaks(self) -> Mapping[str, float]:
         """The highest ln of the density of priors of the bounded unknowns, by name."""
-        p = np.geomspace(1e-9, 0.5, 60)
+        p = np.geomspace(1e-6, 0.5, 40)
+        p = np.concatenate([p, 1 - p])
         own = {n: self.prior[n] for n in self.cue.unknowns[: self.bounded] if n in self.prior}
-        return {
-            n: float(np.max(prior.logpdf(np.concatenate([prior.ppf(p), prior.isf(p)]))))
-            for n, prior in own.items()
-        }
+        return {n: float(np.max(prior.logpdf(prior.ppf(p)))) for n, prior in own.items()}
 
     @cached_property
     def leaps(self) -> Mapping[str, Array]:

@@ -15,7 +15,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
 from .._values import Array, Flags, Index
@@ -604,8 +604,9 @@ def _mixed(
 ) -> Spans:
     """Spans of a mixture over nodes of conditional distributions, given their quantiles.
 
-    Between nodes ln of the evidence and the quantiles are interpolated by splines, each quantile
-    by itself; where nothing is known of a node, its quantiles are those of the nearest.
+    Between nodes ln of the evidence is interpolated by splines, and each quantile by cubics without
+    overshoot, as conditional distributions may have two modes; where nothing is known of a node, its
+    quantiles are those of the nearest.
     """
     if not held.all():
         place = np.argwhere(held)
@@ -613,18 +614,16 @@ def _mixed(
             nearest = place[np.abs(place - i).sum(axis=1).argmin()]
             quantile[tuple(i)] = quantile[tuple(nearest)]
     log = np.maximum(log - log[held].max(), -45.0)
-    table = np.concatenate([log[..., None], quantile], axis=-1)
     for d in range(log.ndim):
-        n = table.shape[d]
+        n = log.shape[d]
         fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
-        degree = min(3, n - 1)
-        table = make_interp_spline(np.arange(n), table, k=degree, axis=d)(fine)
-        table = np.moveaxis(table, 0, d) if table.shape[d] != len(fine) else table
-    log, quantile = table[..., 0].ravel(), table[..., 1:].reshape(-1, len(scores))
+        log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
+        quantile = PchipInterpolator(np.arange(n), quantile, axis=d)(fine)
+    log, quantile = log.ravel(), quantile.reshape(-1, len(scores))
     heavy = log > log.max() - 18.0
     # Between scores mass is all but that of a Gaussian, which is not spread evenly.
     fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
-    quantile = make_interp_spline(scores, quantile[heavy], k=3, axis=1)(fine)
+    quantile = PchipInterpolator(scores, quantile[heavy], axis=1)(fine)
     quantile, scores = np.maximum.accumulate(quantile, axis=1), fine
     mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
     low, high = quantile[:, :-1], quantile[:, 1:]

@@ -61,7 +61,7 @@ def quadrature(
     if len(observer.unknowns) > 4:
         raise ValueError(
             f"Quadrature sums over four unknowns at most, got {len(observer.unknowns)} "
-            f"({', '.join(observer.unknowns)}); write method=\"emcee\"."
+            f'({", ".join(observer.unknowns)}); write method="emcee".'
         )
     wanted = tolerance or TOLERANCE
     if observer.noise.is_categorical and len(reading) > 1:
