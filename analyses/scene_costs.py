@@ -32,15 +32,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
+from command import ANALYSES, machine, options
 from matplotlib.patches import Patch
+from speed_accuracy.beams import timed
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.charts.beams import timed
 from weberwhisk.figures.style import SMALL
 from weberwhisk.mechanics import Choice
-from weberwhisk.output import machine
 
 Array = np.ndarray
 #: Long, middling and short whiskers of the rat (Belli et al. 2017).

@@ -10,7 +10,6 @@ from weberwhisk.cues import (
     Compliance,
     ForceMap,
     Friction,
-    LateralSlip,
     SpaceMap,
     UnknownCurvature,
 )
@@ -260,14 +259,6 @@ def test_next_to_a_curvature_of_nothing_is_as_without_any():
     observer = ww.Observer(W, UnknownCurvature(ForceMap(), 1.0))
     jnd = fisher_jnd(observer, [[30e-3, 0.2, -1e-9], [30e-3, 0.2, 0.0]])
     assert jnd[0] == pytest.approx(jnd[1], rel=1e-6)
-
-
-def test_linear_is_the_same_of_a_tilt_to_either_side():
-    """Steps about negative values went to the other side."""
-    noise = GeneralisedWeber([0.1, 0.0], floor=[0.0, 0.1])
-    observer = ww.Observer(W, LateralSlip(friction_angle=0.2), noise)
-    for tilt in (0.3, 1.2):
-        assert is_linear(observer, [20e-3, tilt]) == is_linear(observer, [20e-3, -tilt])
 
 
 def test_linear_is_the_same_at_all_azimuths():

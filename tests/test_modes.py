@@ -13,7 +13,7 @@ from scipy.linalg import eigh, expm, lu_factor, lu_solve
 from scipy.optimize import brentq
 from short_forms import slow_but
 
-from weberwhisk.mechanics.modes import impulse_response, modes, quasi_static, transfer
+from weberwhisk.mechanics.modes import impulse_response, modes, transfer
 from weberwhisk.mechanics.shape import Profile
 from weberwhisk.whisker import Whisker
 
@@ -273,7 +273,6 @@ def test_nothing_before_the_impulse_and_nothing_from_one_at_the_base():
         (lambda: modes(TAPER, 1.5), "count must be a whole number"),
         (lambda: modes(TAPER, 3, damping_ratio=1.0), "damping_ratio must be below 1"),
         (lambda: modes(Whisker([0.05, 0.04], 1e-4, 5e-6)), "one whisker at a time"),
-        (lambda: quasi_static(Whisker([0.05, 0.04], 1e-4, 5e-6), 0.02), "one whisker at a time"),
         (lambda: modes(TAPER).shape(0.06), "must be on the whisker of 0.05 m, got 0.06"),
     ],
 )

@@ -191,7 +191,6 @@ CUES = [
     lambda: cues.AngleSideAngle(5e-3, side_sd=1e-3),
     lambda: cues.TwoWhiskers(neighbour_length=20e-3),
     lambda: cues.ContactAndDetachment(push=0.2),
-    lambda: cues.LateralSlip(friction_angle=0.2),
     lambda: cues.BalanceOfMoments(1.2, effort=None),
 ]
 

@@ -4,14 +4,15 @@ from itertools import product
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk import surveys as weber_2d
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.jnd_curves import jnd_curve
 
+weber_2d = load("gallery.surveys")
 W, K = weber_2d.WHISKER, weber_2d.K
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from . import along_whisk as along_whisk
     from . import array as array
     from . import behaviour as behaviour
     from . import campaign as campaign
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     from . import receptors as receptors
     from . import sweeping as sweeping
     from .array import WhiskerArray as WhiskerArray
-    from .array_observer import array_by_count as array_by_count
-    from .array_observer import array_by_whisker as array_by_whisker
-    from .array_observer import array_resolution as array_resolution
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
@@ -90,7 +86,6 @@ if TYPE_CHECKING:
 _NAMES = {
     "whisker": "Whisker identities",
     "array": "WhiskerArray",
-    "array_observer": "array_by_count array_by_whisker array_resolution",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
@@ -105,7 +100,7 @@ _NAMES = {
     "output": "cite",
 }
 _MODULES = {
-    "along_whisk", "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
+    "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
     "inference", "mechanics", "places", "receptors", "sweeping",
 }  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}

@@ -472,17 +472,3 @@ def versions(*packages: str) -> dict[str, str | None]:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
-
-
-def machine(*packages: str) -> str:
-    """`versions_in_words` and the kind of processor, for the foot of a figure of times."""
-    words = versions_in_words("numpy", "scipy", "emcee", *packages)
-    return f"{words}; {_processor()}, one core, CPU time"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

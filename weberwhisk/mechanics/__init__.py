@@ -17,7 +17,7 @@ from .ladder import bend, flick_past, press, signal_jacobian
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import choose_model
-    from .modes import Modes, QuasiStatic, impulse_response, quasi_static, transfer
+    from .modes import Modes, impulse_response, transfer
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
     from .profile import Sticking, rest_angle, sticking
@@ -34,15 +34,15 @@ _HOME = {
     "touch": ("Body", "contour", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "modes": ("Modes", "QuasiStatic", "impulse_response", "quasi_static", "transfer"),
+    "modes": ("Modes", "impulse_response", "transfer"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
     "Balance", "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MomentBalance",
-    "MuscleCurve", "Outcome", "Parabola", "Profile", "QuasiStatic", "RodBending", "Spiral",
+    "MuscleCurve", "Outcome", "Parabola", "Profile", "RodBending", "Spiral",
     "Sticking", "Sweep", "bend", "choose_model", "closed_form", "contour", "cylinder",
     "elastica", "flick_past", "impulse_response", "modes", "moment_balance", "peg", "press",
-    "profile", "quasi_static", "rest_angle", "rod", "signal_jacobian", "sticking", "sweep",
+    "profile", "rest_angle", "rod", "signal_jacobian", "sticking", "sweep",
     "transfer", "wall",
 ]  # fmt: skip
 

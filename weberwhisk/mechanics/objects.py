@@ -10,7 +10,7 @@ with its tip or with its flank: the sweep ends with `TOUCHES_TWICE` where the sh
 would take it a millionth of its length into the object elsewhere.
 
 Whisking is quasi-static here: the whisker is in balance at every angle, without inertia. It is
-then a good model where the base turns slowly; `modes.quasi_static` says up to which frequency.
+then a good model where the base turns slowly (`analyses/gallery/quasi_static.py` says how slowly).
 
 The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
