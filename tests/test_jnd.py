@@ -267,10 +267,3 @@ def test_linear_is_the_same_at_all_azimuths():
     contact = [[30e-3, 0.2, azimuth] for azimuth in (0.5, 3.13, np.pi, -3.13)]
     assert is_linear(observer, contact).all()
     assert np.ptp(fisher_jnd(observer, contact)) < 1e-12
-
-
-def test_the_old_name_of_the_number_of_readings_still_works():
-    with pytest.warns(DeprecationWarning, match="n_readings"):
-        old = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, draws=4, seed=1)
-    new = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, n_readings=4, seed=1)
-    assert old.table.equals(new.table)

@@ -606,15 +606,6 @@ def test_a_reason_to_reject_is_never_one_to_accept():
             assert float(said) > tolerance or "nothing is cheaper" in reason
 
 
-def test_the_old_names_of_a_model_still_work():
-    with pytest.warns(DeprecationWarning, match="weberwhisk.Model"):
-        assert ww.Rung is ww.Model
-    with pytest.warns(DeprecationWarning, match="weberwhisk.mechanics.choose_model"):
-        assert ww.mechanics.choose_rung is ww.choose_model
-    with pytest.warns(DeprecationWarning, match="Choice.model"):
-        assert ww.choose_model(ww.Whisker(50e-3, 1e-4, 5e-6), 20e-3, 0.1).rung == 0
-
-
 def test_slopes_of_a_rolled_whisker_are_those_of_each_alone() -> None:
     rolls = np.array([0.0, 0.1, 0.2, 0.3])
     together = ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=rolls)

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from .contacts import calibrate as calibrate
     from .contacts import locate as locate
     from .contacts import read_tracking as read_tracking
-    from .contacts import simulate_tracking as simulate_tracking
     from .contacts import tracked_signals as tracked_signals
     from .design import plan_experiment as plan_experiment
     from .design import power as power
@@ -93,7 +92,7 @@ _NAMES = {
     "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
+    "contacts": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
@@ -106,9 +105,6 @@ _MODULES = {
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
-
-
-_RENAMED = {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"}
 
 
 def _version() -> str:
@@ -127,9 +123,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version()
     if name not in _HOME:
-        from ._values import renamed_names  # which imports NumPy
-
-        return renamed_names(__name__, _RENAMED)(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     globals()[name] = value
     return value

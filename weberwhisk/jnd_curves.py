@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import campaign
 from ._checks import angle, finite, generator, one_of, positive, positive_number, whole
-from ._values import Array, Shown, pd, renamed_arguments, with_units
+from ._values import Array, Shown, pd, with_units
 from .cues import Compliance, ForceMap
 from .inference.coordinates import UNITS
 from .inference.observer import Observer, default_noise
@@ -127,7 +127,6 @@ class JNDCurve(Shown):
         return parts
 
 
-@renamed_arguments(draws="n_readings")
 def jnd_curve(
     observer: Observer,
     radial_distance: ArrayLike,
@@ -301,7 +300,6 @@ def up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Arra
 # -- sweeps ----------------------------------------------------------------------------------------
 
 
-@renamed_arguments(draws="n_readings")
 def jnd_sweep(
     whisker: Whisker,
     weber_fraction: ArrayLike,

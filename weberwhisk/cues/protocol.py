@@ -26,7 +26,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from .._checks import numbers, refuse_hinge, shown
-from .._values import Array, Codes, Value, renamed_names
+from .._values import Array, Codes, Value
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
@@ -34,7 +34,6 @@ from ..whisker import Whisker
 
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Encoded = tuple[Array, Codes]
-__getattr__ = renamed_names(__name__, {"Felt": "Encoded"})
 #: Unknowns that may be of either sign, rad and 1/m.
 SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
 

@@ -5,7 +5,6 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
-from .._values import renamed_names
 from .contacts import (
     bending,
     calibrated,
@@ -74,11 +73,3 @@ __all__ = [
     "styled",
     "whisker_array",
 ]
-__getattr__ = renamed_names(
-    __name__,
-    {
-        "jnd_curve": "jnd_lines",
-        "posterior": "posterior_histogram",
-        "information": "information_map",
-    },
-)

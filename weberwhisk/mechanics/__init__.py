@@ -10,7 +10,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .._values import renamed_names
 from .contact import Bending, Choice, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from .profile import Sticking, rest_angle, sticking
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
-    from .touch import Body, contour, cylinder, peg, wall
+    from .touch import Body, cylinder, peg, wall
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
@@ -31,7 +30,7 @@ _HOME = {
     "shape": ("Parabola", "Profile", "Spiral"),
     "profile": ("Sticking", "rest_angle", "sticking"),
     "rod": ("RodBending",),
-    "touch": ("Body", "contour", "cylinder", "peg", "wall"),
+    "touch": ("Body", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
     "modes": ("Modes", "impulse_response", "transfer"),
@@ -40,14 +39,11 @@ _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
     "Balance", "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MomentBalance",
     "MuscleCurve", "Outcome", "Parabola", "Profile", "RodBending", "Spiral",
-    "Sticking", "Sweep", "bend", "choose_model", "closed_form", "contour", "cylinder",
+    "Sticking", "Sweep", "bend", "choose_model", "closed_form", "cylinder",
     "elastica", "flick_past", "impulse_response", "modes", "moment_balance", "peg", "press",
     "profile", "rest_angle", "rod", "signal_jacobian", "sticking", "sweep",
     "transfer", "wall",
 ]  # fmt: skip
-
-
-_renamed = renamed_names(__name__, {"Rung": "Model", "choose_rung": "choose_model"})
 
 
 def __getattr__(name: str) -> Any:
@@ -57,7 +53,7 @@ def __getattr__(name: str) -> Any:
         if name in names:
             globals()[name] = value = getattr(import_module(f".{home}", __name__), name)
             return value
-    return _renamed(name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

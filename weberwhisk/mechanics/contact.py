@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Array, Codes, Flags, Shown, Worded, member, pd, renamed_attribute
+from .._values import Array, Codes, Flags, Shown, Worded, member, pd
 from ..whisker import Whisker
 
 
@@ -100,7 +100,6 @@ class Choice:
         off = np.where(np.arange(len(Model)) < model, np.nan, 0.0)
         return cls(model, off, off, tolerance, SIGNAL_UNIT)
 
-    rung = renamed_attribute("Choice", "rung", "model")
 
     @property
     def why(self) -> str | NDArray[np.object_]:

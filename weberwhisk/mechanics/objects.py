@@ -1,9 +1,8 @@
 """Sweeps against objects: where a whisker touches as its base turns or moves, up to flick-past.
 
-§2g. A peg, a cylinder of finite radius, a flat wall and a convex contour are all *rounded
-polygons*: corners, straight edges between them, and one radius of rounding. A whisker touches a
-corner's arc or an edge with its flank, tangentially, or an object with its tip, whose force is
-normal to the object instead of the whisker; which of these it is changes along a sweep.
+§2g. The objects are a peg, a cylinder of finite radius and a flat wall. A whisker touches them with
+its flank, tangentially, or with its tip, whose force is normal to the object instead of the
+whisker; which of these it is changes along a sweep.
 
 The whisker touches at one point. One that is curved towards the object may touch it a second time,
 with its tip or with its flank: the sweep ends with `TOUCHES_TWICE` where the shape of one contact
@@ -44,9 +43,9 @@ from ..whisker import Whisker
 from .contact import Bending, Outcome
 from .profile import bend
 from .shape import Profile
-from .touch import Body, Touch, TouchedBody, contour, cylinder, peg, wall
+from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
 
-__all__ = ["Body", "Sweep", "contour", "cylinder", "peg", "sweep", "wall"]
+__all__ = ["Body", "Sweep", "cylinder", "peg", "sweep", "wall"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ def sweep(
     whisker : Whisker or Profile
         One whisker: scalar fields.
     body : Body
-        Made by `peg`, `cylinder`, `wall` or `contour`.
+        Made by `peg`, `cylinder` or `wall`.
     rotation : array (n,)
         Angles of the base at which to report, rad, ascending, from before the first contact.
     friction_angle : float
