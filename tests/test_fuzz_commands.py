@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from contextlib import chdir
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import chdir, contextmanager
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -166,14 +168,14 @@ def test_any_rehearsal_is_done_or_refused(
     words += [w for pair in given_options for w in pair if pair != ("--workers", "2")][:4]
     with TemporaryDirectory() as folder:
         (Path(folder) / "plan.json").write_text(TEXT, "utf-8")
-        with mock.patch("weberwhisk.campaign.Processes", _one_process):
+        with mock.patch("weberwhisk.campaign._processes", _one_process):
             check([*words, "--json"] if as_json else words, Path(folder))
 
 
-def _one_process(workers: int) -> object:
-    from weberwhisk.campaign import Workers
-
-    return Workers()
+@contextmanager
+def _one_process(workers: int) -> Iterator[tuple[ThreadPoolExecutor, object]]:
+    with ThreadPoolExecutor(1) as pool:
+        yield pool, lambda: None
 
 
 @settings(max_examples=6)

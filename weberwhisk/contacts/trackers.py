@@ -249,4 +249,5 @@ def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     for name in COLUMNS:
         if name not in table:
             table[name] = np.nan
-    return table[[*COLUMNS, *(name for name in "xyz" if name in table)]]
+    points = "xyz" if {"x", "y"} <= set(table) else ""  # of a damaged file one may be left
+    return table[[*COLUMNS, *(name for name in points if name in table)]]

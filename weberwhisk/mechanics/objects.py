@@ -192,7 +192,7 @@ def sweep(
     numbers: dict[str, Any] = {
         name: np.where(held, value, np.nan)
         for name, value in vars(b).items()
-        if name not in ("outcome", "model", "whisker", "choice")
+        if name not in ("outcome", "model", "whisker")
     }
     b = replace(b, **numbers, outcome=member(Outcome, outcome))
     turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)
