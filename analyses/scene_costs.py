@@ -130,7 +130,7 @@ class Contacts:
         """Each by the model named of it; without one by the lowest that has all there is."""
         if model is not None:
             scene = self.whisker, self.distance, self.angle, self.friction, self.roll
-            return press_by(*scene, model, 1e-4)
+            return press_by(*scene, model)
         return ww.press(self.whisker, self.distance, self.angle, self.friction, roll=self.roll)
 
     def bulk(self, rows: int) -> Contacts:
