@@ -310,17 +310,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         {"radial_distance_mm": at,
          "moment_rate": observer().read(at[:, None] / 1e3, seed=1)[:, 0]}
     )  # fmt: skip
-    estimates = pd.DataFrame(
-        {"method": m, "weber_fraction": k, "n": n, "low": 0.05, "high": 0.1 + 1 / n}
-        for m in ("information", "constant stimuli") for k in (0.1, 0.2) for n in (30, 100, 300)
-    )  # fmt: skip
-    factors = pd.DataFrame(
-        {"method": m, "truth": t, "n": n, "log_bayes_factor": n / 60 + i}
-        for m in ("information", "constant stimuli")
-        for t in (0, 1) for n in (60, 120, 180) for i in range(-2, 3)
-    )  # fmt: skip
     return {
-        "adaptive": figures.adaptive({"estimation": estimates, "discrimination": factors}),
         "bending": figures.bending(lines),
         "calibrated": figures.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]

@@ -72,7 +72,6 @@ if TYPE_CHECKING:
     from .mechanics import press as press
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
-    from .mechanics import sticking as sticking
     from .mechanics import sweep as sweep
     from .output import cite as cite
     from .places import ArrayObserver as ArrayObserver
@@ -86,7 +85,7 @@ _NAMES = {
     "whisker": "Whisker identities",
     "array": "WhiskerArray",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
-    "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
+    "bend choose_model flick_past press rest_angle signal_jacobian sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
     "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
     "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",

@@ -374,10 +374,3 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
 def _same(encoded: Encoded, last: Array) -> Encoded:
     """What is encoded whatever the last unknown is."""
     return encoded
-
-
-def _inserted(
-    cue: Cue, index: int, whisker: Whisker, contact: Array, model: str | None, last: Array
-) -> Encoded:
-    """What a cue encodes to which the fusion's last unknown is one in between."""
-    return cue.signals(whisker, np.insert(contact, index, last, axis=-1), model=model)

@@ -25,7 +25,6 @@ from .designs import (
     rehearsed,
 )
 from .fits import (
-    adaptive,
     comparison,
     pairs,
     population,
@@ -43,7 +42,6 @@ __all__ = [
     "LINES",
     "MARKERS",
     "SINGLE",
-    "adaptive",
     "bending",
     "calibrated",
     "comparison",

@@ -16,10 +16,10 @@ from .ladder import bend, flick_past, press, signal_jacobian
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import choose_model
-    from .modes import Modes, impulse_response, transfer
+    from .modes import Modes, impulse_response
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
-    from .profile import Sticking, rest_angle, sticking
+    from .profile import rest_angle
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
     from .touch import Body, cylinder, peg, wall
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 _HOME = {
     "model_choice": ("choose_model",),
     "shape": ("Parabola", "Profile", "Spiral"),
-    "profile": ("Sticking", "rest_angle", "sticking"),
+    "profile": ("rest_angle",),
     "rod": ("RodBending",),
     "touch": ("Body", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "modes": ("Modes", "impulse_response", "transfer"),
+    "modes": ("Modes", "impulse_response"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
     "Balance", "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MomentBalance",
     "MuscleCurve", "Outcome", "Parabola", "Profile", "RodBending", "Spiral",
-    "Sticking", "Sweep", "bend", "choose_model", "closed_form", "cylinder",
+    "Sweep", "bend", "choose_model", "closed_form", "cylinder",
     "elastica", "flick_past", "impulse_response", "modes", "moment_balance", "peg", "press",
-    "profile", "rest_angle", "rod", "signal_jacobian", "sticking", "sweep",
-    "transfer", "wall",
+    "profile", "rest_angle", "rod", "signal_jacobian", "sweep",
+    "wall",
 ]  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
 from .._checks import finite, non_negative, whole
@@ -272,26 +272,3 @@ def impulse_response(
         struck @ (modes.base_shear[:, None] * waves),
         struck,
     )
-
-
-def transfer(modes: Modes, arc_length: ArrayLike, frequency: ArrayLike) -> NDArray[np.complex128]:
-    """Spectrum of the base moment for a unit impulse at a place: the transform of the ringing.
-
-    Parameters
-    ----------
-    modes : Modes
-        Damped: without damping the spectrum has poles.
-    arc_length : float or array (...)
-        m.
-    frequency : array (f,)
-        Hz.
-
-    Returns
-    -------
-    array of complex, shape (..., f)
-        N m per N s, times s.
-    """
-    w = 2 * np.pi * finite("frequency", frequency, "give hertz").reshape(-1)
-    omega, zeta = modes.angular_frequency[:, None], modes.damping_ratio[:, None]
-    gain = modes.base_moment[:, None] / (omega**2 - w**2 + 2j * zeta * omega * w)
-    return np.asarray(np.moveaxis(modes.shape(arc_length), 0, -1) @ gain, dtype=complex)
