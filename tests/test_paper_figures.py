@@ -34,15 +34,6 @@ def test_2a_the_whiskers_drawn_are_free_of_moment_at_the_contact_and_at_90_degre
         assert lever == pytest.approx(float(bent.moment), rel=1e-6)
 
 
-def test_2bc_the_taper_needs_less_force_for_90_degrees_the_less_the_nearer_to_the_tip():
-    arc = np.linspace(0.1, 1.0, 19) * W.length
-    taper, cylinder = (
-        paper.loaded(w, arc, np.array(np.pi / 2)).force for w in paper.WHISKERS.values()
-    )
-    assert np.all(taper < cylinder)
-    assert np.all(np.diff(taper / cylinder) < 0)
-
-
 def test_2de_the_tapered_map_is_one_to_one():
     """One sign of the Jacobian, and an edge whose image does not cross itself: no two contacts.
 
