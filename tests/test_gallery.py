@@ -84,32 +84,6 @@ def test_inertia_lies_between_its_bounds(whisker: ww.Whisker, place: float) -> N
         assert least * (1 - 1e-3) < lost < most * (1 + 1e-3)
 
 
-def test_a_beam_stepped_through_time_loses_as_much() -> None:
-    """Newmark's average acceleration over a whisk that starts slowly: its moment's amplitude."""
-    r, frequency, rate = 40e-3, 12.0, 4e-4
-    stiff, mass, free = beam(WHISKER, r, 40)
-    inner, time = np.ix_(free, free), np.arange(0.0, 0.75, rate)
-    onset = np.clip(time / 0.4, 0, 1)
-    angle = np.sin(2 * np.pi * frequency * time) * onset**2 * (3 - 2 * onset)
-    push = np.gradient(np.gradient(angle, rate), rate)
-    step = np.linalg.inv(mass[inner] + rate**2 / 4 * stiff[inner])
-    u, v, a, felt = (np.zeros(len(free)) for _ in range(4))
-    felt = np.zeros(time.size)
-    for i in range(1, time.size):
-        guess = u + rate * v + rate**2 / 4 * a
-        load = -stiff[free, 1] * angle[i] - mass[free, 1] * push[i]
-        after = step @ (load - stiff[inner] @ guess)
-        u, v, a = guess + rate**2 / 4 * after, v + rate / 2 * (a + after), after
-        inertia = mass[1, free] @ a + mass[1, 1] * push[i]
-        felt[i] = stiff[1, 1] * angle[i] + stiff[1, free] @ u + inertia
-    late = time > 0.5
-    wave = np.exp(2j * np.pi * frequency * time[late])
-    amplitude = 2 * abs(np.mean(felt[late] * wave))
-    lost = 1 - amplitude / moment(WHISKER, r, 1e-3)
-    least, most = quasi_static(WHISKER, r).error(frequency)
-    assert least * 0.97 < lost < most * 1.03
-
-
 def test_a_first_contact_rings_within_its_bound() -> None:
     """The modes of 60 finite elements, each with its own damping, from a whisker that strikes."""
     r, zeta, time = 30e-3, 0.1, np.linspace(2e-3, 0.1, 200)

@@ -15,9 +15,9 @@ import signal
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -134,12 +134,13 @@ def run(
         elif progress is not None and lines and missing:
             progress(len(lines))
         try:
-            for number, line in _done(job, missing, workers, scheduler):
-                if log is not None:
-                    log.append(line)
-                lines[number] = line
-                assert progress is not None
-                progress(1)
+            with closing(_done(job, missing, workers, scheduler)) as done:
+                for number, line in done:
+                    if log is not None:
+                        log.append(line)
+                    lines[number] = line
+                    assert progress is not None
+                    progress(1)
         except CampaignError as error:
             if log is not None:
                 kept = f" {len(lines)} chunks are done and kept in {str(log.path)!r}."
@@ -304,7 +305,7 @@ def _decoded(lines: dict[int, str]) -> pd.DataFrame:
 
 def _done(
     job: Job, numbers: Sequence[int], workers: int, scheduler: str | None
-) -> Iterator[tuple[int, str]]:
+) -> Generator[tuple[int, str], None, None]:
     """Number and line of each chunk, as they are done."""
     if scheduler is None and (workers == 1 or len(numbers) < 2):
         for number in numbers:
