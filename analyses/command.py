@@ -75,7 +75,7 @@ def options(
             action="append",
             default=[],
             choices=parts,
-            metavar="DOMAIN",
+            metavar="NAME",
             help="again for more",
         )
     return parser.parse_args()

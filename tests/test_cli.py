@@ -271,13 +271,6 @@ def every_command() -> dict[str, Any]:
     return {name: group.get_command(context, name) for name in cli.COMMANDS}
 
 
-def test_the_list_of_commands_says_what_their_own_help_does() -> None:
-    group: Any = typer.main.get_command(cli.app)
-    for name, command in every_command().items():
-        assert group.commands[name].short_help == command.help.splitlines()[0] != "", name
-        assert command.name == name
-
-
 @pytest.mark.parametrize("arguments", [["--version"], ["--help"], []])
 def test_nothing_heavy_is_imported_before_a_command_is_used(arguments: list[str]) -> None:
     heavy = "numpy scipy pandas matplotlib arviz emcee rich h5py distributed weberwhisk.commands"
@@ -332,15 +325,6 @@ def test_a_value_error_of_weberwhisk_is_a_refusal(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().err == sentence
 
 
-@pytest.mark.parametrize("error", [ValueError, KeyError, TypeError, RuntimeError, OSError])
-def test_any_other_error_is_a_bug_and_shows(error: type[Exception]) -> None:
-    def command() -> None:
-        raise error("a bug")
-
-    with pytest.raises(error, match="a bug"):
-        run_app(probe(command), ["probe"])
-
-
 def test_a_value_error_inside_numpy_is_a_bug(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*arguments: object, **options: object) -> None:
         np.linalg.cholesky(np.zeros((2, 3)))
@@ -372,12 +356,6 @@ def test_an_interrupted_command_ends_quietly(
     assert run_app(probe(command), ["probe"]) == 130
     assert capsys.readouterr() == ("", "")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_termination_handler_is_put_back() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    run_app(cli.app, ["--version"])
-    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_progress_is_for_a_terminal_only(

@@ -131,60 +131,6 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
 
 
 
-def made_up() -> dict[str, pd.DataFrame]:
-    """Tables of every form, with a failure and a method that never answers."""
-    scenes, knobs = ("easy", "hard"), (1.0, 20.0)
-
-    def rows(part: str, methods: tuple[str, ...]) -> pd.DataFrame:
-        return pd.DataFrame(
-            [
-                {"part": part, "scene": scene, "method": method, "knob": knob, "count": 5,
-                 "seconds": 1e-3 * knob * 300**i,
-                 "error": np.nan if method == "lost" else 1e-3 / knob,
-                 "failed": float(method == "lost") or 0.5 * (knob > 1), "coverage": 0.9}
-                for scene in scenes for i, method in enumerate(methods) for knob in knobs
-            ]
-        )  # fmt: skip
-
-    marks = pd.DataFrame(
-        {"part": "posteriors", "scene": scene, "method": name, "seconds": 1e-6, "error": 1e-9}
-        for scene in scenes
-        for name in ("closed form", "referee")
-    )
-    grown = pd.DataFrame({"part": "growth", "method": "n", "count": [1, 10], "seconds": [1, 2.0]})
-    return {
-        "beams": rows("beams", ("closed form", "lost")),
-        "posteriors": pd.concat([rows("posteriors", ("quadrature", "theirs")), marks]),
-        "jnds": pd.concat(
-            [
-                rows("jnds", ("closed form", "theirs")),
-                marks[marks["method"] == "referee"].assign(part="jnds"),
-            ]
-        ),
-        "fits": rows("fits", ("quadrature",))[:2].assign(error_se=1e-4),
-        "growth": grown.assign(bytes=[100, 900], slope_seconds=0.3, slope_bytes=0.9),
-    }
-
-
-def test_figures_mark_failures_and_limits() -> None:
-    table = pd.concat(made_up().values(), ignore_index=True)
-    figure = plots.speed_accuracy(table, foot="a machine", outside={"theirs"})
-    axes = [ax for part in figure.subfigs for ax in part.axes]
-    assert len(axes) == 6
-    for ax in axes:
-        texts = [text.get_text() for text in ax.texts]
-        assert "closed form" in texts
-        assert "50%" in texts
-        assert ax.get_xscale() == ax.get_yscale() == "log"
-    texts = [text.get_text() for text in axes[0].texts]
-    assert texts.count("no answer") == 1  # "100%" twice over one another
-    assert "100%" not in texts
-    hollow = next(line for line in axes[2].lines if line.get_label() == "theirs")
-    assert hollow.get_markerfacecolor() == "white"
-    other = plots.fits_and_growth(table)
-    assert len([ax for part in other.subfigs for ax in part.axes]) == 4
-
-
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
     names = "beams", "posteriors", "jnds", "fits", "growth"
     kept = Path(__file__).parents[1] / "analyses" / "figures"

@@ -3,7 +3,7 @@
     python analyses/gallery/make.py [folder] [--only NAME] [--short]
 
 Of one whisker 50 mm long with radii of 100 and 5 µm; k = 0.1 throughout. All charts take some
-minutes; `--only` makes those that are named:
+minutes; `--only` makes those that are named, and may be said again:
 """
 
 from __future__ import annotations
