@@ -14,6 +14,7 @@ within ±40 %, and until the Bayes factor is above 10 in 80 % of runs.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ from weberwhisk.design import (
     lattice,
     taper,
 )
+from weberwhisk.figures.fits import binomial_interval
+from weberwhisk.figures.style import LINES, bars, legend_above, look, mark
 from weberwhisk.output import Run
 
 LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1
@@ -179,6 +182,49 @@ def crossing(curve: pd.Series, level: float) -> float:
     return float(n[i - 1] + (n[i] - n[i - 1]) * (y[i - 1] - level) / (y[i - 1] - y[i]))
 
 
+@figures.styled
+def draw(tables: Mapping[str, pd.DataFrame]) -> Any:
+    """What simulated experiments know after so many trials, a line a method.
+
+    Parameters
+    ----------
+    tables : mapping
+        ``estimation``: rows with ``method``, ``weber_fraction`` (the truth), ``n``, ``low`` and
+        ``high``; ``discrimination``: with ``method``, ``truth``, ``n`` and ``log_bayes_factor``.
+    """
+    first, second = tables["estimation"], tables["discrimination"]
+    ks = sorted(first["weber_fraction"].unique())
+    figure = figures.new_figure(figures.DOUBLE, 2.9)
+    axes = figure.subplots(1, len(ks) + 1)
+    methods = list(dict.fromkeys(first["method"]))
+    half = (first["high"] - first["low"]) / (first["high"] + first["low"])
+    for ax, k in zip(axes, ks, strict=False):
+        for i, method in enumerate(methods):
+            own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
+            width = half[own.index].groupby(own["n"]).median()
+            ax.plot(width.index, 100 * width, **mark(i) | look(i), label=method)
+        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0, label="goal")
+        ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
+        ax.set(xlabel="Trials", ylim=(0, 100))
+    axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
+    legend_above(axes[0])
+    ax = axes[len(ks)]
+    for truth in sorted(second["truth"].unique()):
+        for method in dict.fromkeys(second["method"]):
+            own = second[(second["truth"] == truth) & (second["method"] == method)]
+            found = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"])
+            share, count = found.mean(), found.sum().to_numpy(float)
+            low, high = binomial_interval(count, found.size().to_numpy(float))
+            style = {"linestyle": LINES[truth % len(LINES)], "elinewidth": 0.8}
+            label = f"{method}, {('tapered', 'cylinder')[truth]}"
+            ends = 100 * share, 100 * low, 100 * high
+            bars(ax, share.index, ends, methods.index(method), **style, label=label)
+    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0, label="goal")
+    ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
+    legend_above(ax)
+    return figure
+
+
 def make(
     folder: Path,
     *,
@@ -203,7 +249,7 @@ def make(
     with Run(folder, "adaptive", {"short": short, "animals": ANIMALS}, SEED) as run:
         for name, table in tables.items():
             run.table(f"adaptive_{name}", table)
-        run.figure("adaptive", figures.figure_of(figures.adaptive(tables)))
+        run.figure("adaptive", draw(tables))
     return tables
 
 

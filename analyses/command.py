@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import platform
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+
+from weberwhisk.output import versions_in_words
 
 ANALYSES = Path(__file__).parent
 
@@ -48,7 +52,9 @@ def options(
         description=inspect.cleandoc(description or ""),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    usual = folder or ANALYSES.parent / "results" / Path(script).stem
+    path = Path(script)
+    own = path.parent.name if path.stem == "make" else path.stem
+    usual = folder or ANALYSES.parent / "results" / own
     parser.add_argument("folder", type=Path, nargs="?", default=Path(usual))
     if short:
         parser.add_argument("--short", action="store_true", help=short)
@@ -69,7 +75,7 @@ def options(
             action="append",
             default=[],
             choices=parts,
-            metavar="DOMAIN",
+            metavar="NAME",
             help="again for more",
         )
     return parser.parse_args()
@@ -92,3 +98,27 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def with_units(
+    table: pd.DataFrame, lengths: Iterable[str], angles: Iterable[str] = ()
+) -> pd.DataFrame:
+    """Lengths in mm and angles in degrees, with the unit in the names of their columns."""
+    lengths, angles = list(lengths), list(angles)
+    scaled = table.assign(**1e3 * table[lengths], **np.degrees(table[angles]))
+    names = {name: f"{name}_mm" for name in lengths} | {name: f"{name}_deg" for name in angles}
+    return scaled.rename(columns=names)
+
+
+def machine(*packages: str) -> str:
+    """`versions_in_words` and the kind of processor, for the foot of a figure of times."""
+    words = versions_in_words("numpy", "scipy", "emcee", *packages)
+    return f"{words}; {processor()}, one core, CPU time"
+
+
+def processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()

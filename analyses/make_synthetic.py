@@ -14,8 +14,9 @@ from typing import Any
 
 import pandas as pd
 from command import ANALYSES, options
+from tracked_session import simulate_tracking
 
-from weberwhisk import Observer, Whisker, cues, simulate_tracking
+from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
 from weberwhisk.behaviour.trials import data_package, describe_table
 
@@ -271,7 +272,7 @@ def of_session(name: str, table: pd.DataFrame) -> dict[str, Any]:
         "schema": {"fields": fields, "missingValues": [""]},
         "whisker": "Whisker.from_identity('C2', curved=True)",
         "simulation": SESSION,
-        "generator": "weberwhisk.simulate_tracking, by analyses/make_synthetic.py",
+        "generator": "analyses/make_synthetic.py",
     }
 
 

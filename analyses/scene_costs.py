@@ -32,15 +32,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
+from command import ANALYSES, machine, options
 from matplotlib.patches import Patch
+from speed_accuracy.beams import timed
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.charts.beams import timed
 from weberwhisk.figures.style import SMALL
 from weberwhisk.mechanics import Choice
-from weberwhisk.output import machine
+from weberwhisk.mechanics.scene import press_by
 
 Array = np.ndarray
 #: Long, middling and short whiskers of the rat (Belli et al. 2017).
@@ -126,11 +126,12 @@ class Contacts:
             weber_fraction=k, tolerance=TOLERANCE,
         )  # fmt: skip
 
-    def press(self, model: Choice | None = None) -> ww.Bending:
-        """Each by the models of a choice; without one by the lowest that has all there is."""
-        return ww.press(
-            self.whisker, self.distance, self.angle, self.friction, roll=self.roll, model=model
-        )
+    def press(self, model: Any = None) -> ww.Bending:
+        """Each by the model named of it; without one by the lowest that has all there is."""
+        if model is not None:
+            scene = self.whisker, self.distance, self.angle, self.friction, self.roll
+            return press_by(*scene, model)
+        return ww.press(self.whisker, self.distance, self.angle, self.friction, roll=self.roll)
 
     def bulk(self, rows: int) -> Contacts:
         """Repeated up to so many, as what a call costs by itself is no part of a contact's."""
@@ -228,7 +229,7 @@ def used_throughout(
     if rung is ww.Model.ROD and not group.roll:
         part = group.some(rods)
         exact = part.press()
-    bent, seconds = timed(lambda: part.press(Choice.complete(rung, TOLERANCE)))
+    bent, seconds = timed(lambda: part.press(rung))
     return bias(exact, bent, 1.0), seconds / part.distance.size
 
 
@@ -257,7 +258,7 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
                 rungs.append(here | told | summary(np.concatenate(off) / k))
             choices, choosing = zip(*(timed(partial(g.choose, k)) for g in groups), strict=True)
             felt, pressing = zip(
-                *(timed(partial(g.press, c)) for g, c in zip(groups, choices, strict=True)),
+                *(timed(partial(g.press, c.model)) for g, c in zip(groups, choices, strict=True)),
                 strict=True,
             )
             off = np.concatenate([bias(t, f, k) for t, f in zip(true, felt, strict=True)])

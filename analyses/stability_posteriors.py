@@ -82,7 +82,6 @@ OBSERVERS: dict[str, Make] = {
     ),
     "lateral slip": lambda k: Observer(
         W,
-        cues.LateralSlip(friction_angle=0.2),
         receptors.Joint(
             [receptors.Weber(k), receptors.GeneralisedWeber(0.0, floor=k)], sizes=[1, 1]
         ),

@@ -2,7 +2,7 @@
 
     python analyses/sweeps.py [folder] [--short]
 
-A whisker is pushed against a peg, a cylinder and a rounded contour; its moment is felt with Weber
+A whisker is pushed against a peg and a cylinder; its moment is felt with Weber
 noise. Writes sweeps (PNG, SVG): the true path of the contact beside the filter's, with two sds; and
 sweeps.csv: over many noisy sweeps, the r.m.s. error of r of the iterative update and of the filter
 as the push goes on, and the sd that the filter claims.
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.mechanics.objects import Sweep, contour, cylinder, peg, sweep
+from weberwhisk.mechanics.objects import Sweep, cylinder, peg, sweep
 from weberwhisk.mechanics.touch import Body
 from weberwhisk.output import Run
 from weberwhisk.receptors import Weber
@@ -34,7 +34,6 @@ DRAWS, DRAWS_SHORT = 40, 3
 BODIES = {
     "peg": peg(30e-3, 0.0),
     "cylinder": cylinder(25e-3, -8e-3, 6e-3),
-    "contour": contour(np.array([[20, -2], [35, -4], [35, -15], [20, -15]]) * 1e-3, radius=1e-3),
 }
 
 

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "analyses")]
 # The notebooks' kernels import this tree too, and find its command.
 os.environ["PYTHONPATH"] = str(ROOT)
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
@@ -99,7 +99,6 @@ MODULES = {
     "weberwhisk.array": "Where whiskers stand and point",
     "weberwhisk.places": "An object's place from all whiskers",
     "weberwhisk.sweeping": "Contacts followed along a sweep",
-    "weberwhisk.along_whisk": "Resolution along a whisk",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",
@@ -181,8 +180,8 @@ def write_command_line() -> None:
 
 
 def write_gallery() -> None:
-    """A section for each chart of ``weberwhisk figure``, in its quick form."""
-    from weberwhisk.commands.figure import CHARTS
+    """A section for each chart of analyses/gallery, in its quick form."""
+    from gallery.make import CHARTS
 
     page = [GALLERY]
     for name, make in CHARTS.items():
@@ -190,7 +189,8 @@ def write_gallery() -> None:
         says = says[:1].upper() + says[1:]
         page.append(f"## {name}\n\n{says}.\n")
         page.append(f"```{{code-cell}} ipython3\n:tags: [remove-output]\n"
-                    f"!weberwhisk figure {name} --short --out {name}\n```\n")  # fmt: skip
+                    f"!python analyses/gallery/make.py --only {name} --short {name}\n"
+                    "```\n")  # fmt: skip
         page.append("```{code-cell} ipython3\n---\ntags: [remove-input]\n"
                     f"mystnb:\n  image:\n    alt: {json.dumps(says, ensure_ascii=False)}\n---\n"
                     f'Image("{name}/{name}.png", width=700)\n```\n')  # fmt: skip
@@ -218,7 +218,7 @@ kernelspec: {name: python3, display_name: Python 3}
 
 # Gallery
 
-Every figure of `weberwhisk figure`, with the command that makes it. Each folder also has the table
+What every method tells, with the command that draws it in a clone. Each folder also has the table
 of what is drawn and a record of what was done. Here is the quick form, `--short`, of few posteriors
 and a coarse grid. Figures of your own results: {doc}`gallery_results`. The paper's, in its order:
 {doc}`validation/paper`.
@@ -228,6 +228,7 @@ and a coarse grid. Figures of your own results: {doc}`gallery_results`. The pape
 import os, tempfile
 from IPython.display import Image
 os.chdir(tempfile.mkdtemp())
+os.symlink(f"{os.environ['PYTHONPATH']}/analyses", "analyses")
 ```
 """
 PLACES = write_reference()

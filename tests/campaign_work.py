@@ -38,15 +38,6 @@ def matrices(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
     return pd.DataFrame({"sum": (a @ a.T).sum(axis=1)})
 
 
-def kill_once(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
-    """The first worker that comes to chunk 3 is killed by it."""
-    killed = Path(chunk["folder"]) / "killed"
-    if chunk["i"] == 3 and not killed.exists():
-        killed.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return draw(chunk, seed)
-
-
 def kill_always(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
     """Chunk 5 kills every worker."""
     if chunk["i"] == 5:

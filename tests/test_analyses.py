@@ -11,7 +11,11 @@ from pathlib import Path
 import pytest
 from analysis_scripts import FOLDER
 
-SCRIPTS = [path for path in sorted(FOLDER.glob("*.py")) if "__main__" in path.read_text("utf-8")]
+SCRIPTS = [
+    path
+    for path in sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/make.py")])
+    if "__main__" in path.read_text("utf-8")
+]
 
 
 def files(folder: Path) -> dict[Path, float]:
@@ -34,6 +38,7 @@ def test_help_prints_the_docstring_and_writes_nothing(
             runpy.run_path(str(script), run_name="__main__")
         assert ended.value.code == 0, script.name
         assert "usage: " in printed.getvalue(), script.name
-        assert f"python analyses/{script.name}" in printed.getvalue(), script.name
+        shown = f"python analyses/{script.relative_to(FOLDER).as_posix()}"
+        assert shown in printed.getvalue(), script.name
     assert not list(tmp_path.iterdir())
     assert files(FOLDER) == before

@@ -449,7 +449,6 @@ def test_regions_of_95_per_cent_cover_95_per_cent() -> None:
             "place is in metres from the middle of a head, got",
         ),
         (lambda: observer("C2", region=((0, 40), (-20, 20))), "region is in metres"),
-        (lambda: ww.array_resolution(observer("C2"), [16], [0]), "x is in metres"),
         (lambda: ww.place(observer("C2"), {}), "Readings are a mapping"),
         (lambda: ww.place(observer("C2"), {"C2": [[1e-7, 1e-6]] * 2}), "one reading of one place"),
     ],
@@ -459,74 +458,12 @@ def test_places_refuse_what_is_no_reading(make, sentence: str) -> None:
         make()
 
 
-# -- how well places are resolved ---------------------------------------------------------------
 
 
-def test_a_map_has_the_best_whisker_and_what_all_gain() -> None:
-    o = observer("C1", "C2", "C3", "D2")
-    table = ww.array_resolution(o, np.linspace(10e-3, 34e-3, 7), np.linspace(-8e-3, 6e-3, 5))
-    assert len(table) == 35
-    for row in table.itertuples():
-        place = 1e-3 * np.array([row.x_mm, row.y_mm])
-        alone = ww.array_by_whisker(o, place)
-        touch = alone[alone["touches"]]
-        assert row.touching == len(touch)
-        if not len(touch):
-            assert np.isnan(row.error_mm)
-            assert row.best == ""
-            continue
-        least = touch.loc[touch["error_mm"].idxmin()]
-        assert (row.best, row.best_error_mm) == (least["whisker"], pytest.approx(least["error_mm"]))
-        assert row.error_mm <= row.best_error_mm * (1 + 1e-9)
-        assert row.error_mm == pytest.approx(np.hypot(row.major_mm, row.minor_mm))
-        # What all tell is no more than the sum of each, and no less than what is added last.
-        assert touch["added_bits"].max() <= row.bits + 1e-9
-        assert row.bits >= touch["bits"].max() - 1e-9
 
 
-def test_a_map_is_that_of_the_posterior_region() -> None:
-    """Not by Fisher information: the area of the 95 % region, where noise is small."""
-    o = observer("C2", "D2", "C3", noise=receptors.Weber(0.03))
-    row = ww.array_resolution(o, 16e-3, -1e-3).iloc[0]
-    said = np.pi * -2 * np.log(0.05) * row.major_mm * row.minor_mm
-    found = [ww.place(o, o.read([16e-3, -1e-3], seed)) for seed in range(4)]
-    assert np.mean([one.area() for one in found]) * 1e6 == pytest.approx(said, rel=0.25)
-    told = [one.bits for one in found]
-    # The prior counts as a Gaussian of the same variance, which has 0.51 bits more than the box.
-    assert np.mean(told) == pytest.approx(row.bits - 0.51, abs=0.4)
-
-
-def test_fewer_whiskers_discriminate_worse() -> None:
-    o = observer(*["C0", "C1", "C2", "C3", "D0", "D1", "D2", "D3"])
-    places = np.linspace(-8e-3, 8e-3, 9)
-    table = ww.array_by_count(o, 20e-3, places, (1, 4, 8), subsets=60, seed=1)
-    assert table["correct"].is_monotonic_increasing
-    assert table["error_mm"].is_monotonic_decreasing
-    assert table["correct_error"].iloc[-1] == pytest.approx(0.0, abs=1e-12)
-    # With all intact, by hand: the widths' variance is that of both sides, their prior flat.
-    told = o.information(np.stack([np.full(9, 20e-3), places], axis=-1)).sum(axis=1)
-    prior = np.diag([1e-9, 12 / np.diff(o.box[1])[0] ** 2])
-    x = np.array([np.linalg.inv(each + prior)[0, 0] for each in told])
-    assert table["correct"].iloc[-1] == pytest.approx(ndtr(1.5e-3 / np.sqrt(2 * x)).mean())
-    # Where nothing touches, the answer is a guess; it was right in 53 %, by the region's prior.
-    assert ww.array_by_count(o, 20e-3, [-30e-3], (8,), subsets=2)["correct"][0] == 0.5
-    with pytest.raises(ValueError, match="needs one side"):
-        ww.array_by_count(ww.ArrayObserver(WhiskerArray()), 20e-3, places)
-    with pytest.raises(ValueError, match="There are 8 whiskers"):
-        ww.array_by_count(o, 20e-3, places, (9,))
-    with pytest.raises(ValueError, match=r"A place is x and y in metres, got shape \(3,\)"):
-        ww.array_by_whisker(o, [20e-3, 0.0, 0.0])
-    with pytest.raises(ValueError, match="identity 'Z9' is unknown"):
-        WhiskerArray(identities=["Z9"])
-
-
-def test_arrays_places_and_maps_are_drawn() -> None:
+def test_arrays_and_places_are_drawn() -> None:
     o = observer("C1", "C2")
     assert len(o.array.plot().axes[0].lines) == 3
     found = ww.place(o, o.read([16e-3, -2e-3], seed=1))
     assert found.plot().axes[0].get_xlabel() == "to the right (mm)"
-    table = ww.array_resolution(o, np.linspace(8e-3, 40e-3, 9), np.linspace(-20e-3, 10e-3, 7))
-    titles = [ax.get_title() for ax in ww.figures.array_map(table, o.array).axes]
-    assert "the best whisker" in titles
-    counts = ww.array_by_count(o, 16e-3, [-2e-3], (1, 2), subsets=5, seed=1)
-    assert len(ww.figures.array_counts(counts.assign(receptors="k = 0.1")).axes) == 2

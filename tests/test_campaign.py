@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from weberwhisk.campaign import CampaignError, batch_size, read, run
-from weberwhisk.campaign.log import Job, Log, decode, encode
+from weberwhisk.campaign import CampaignError, read, run
+from weberwhisk.campaign.log import Log
 
 HERE = Path(__file__).parent
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]
@@ -89,14 +89,6 @@ def test_linear_algebra_has_one_thread_everywhere() -> None:
     assert serial == parallel
 
 
-def test_a_line_keeps_every_bit_and_kind() -> None:
-    frame = campaign_work.draw({"i": 1}, np.random.SeedSequence(3))
-    line = encode(0, frame)
-    assert "\n" not in line
-    json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    same(decode({0: line}), frame)
-
-
 def test_progress_counts_every_chunk_once(tmp_path: Path) -> None:
     told: list[float] = []
     run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s", progress=told.append)
@@ -104,6 +96,13 @@ def test_progress_counts_every_chunk_once(tmp_path: Path) -> None:
     again: list[float] = []
     run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s", progress=again.append)
     assert again == []
+
+
+def test_a_worker_that_is_killed_ends_the_sweep_and_what_is_done_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "s"
+    with pytest.raises(CampaignError, match=r"a worker process was killed.* are done and kept in"):
+        run(campaign_work.kill_always, logged(tmp_path, 9), seed=7, workers=2, out=out)
+    assert 5 not in set(read(out)["i"])
 
 
 # -- interruptions -------------------------------------------------------------------------------
@@ -158,23 +157,6 @@ def test_killed_outright_and_resumed(tmp_path: Path) -> None:
     assert set(again) == set(range(24)) - kept
 
 
-def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(tmp_path: Path) -> None:
-    chunks = [c | {"folder": str(tmp_path)} for c in logged(tmp_path, 12, seconds=0.03)]
-    table = run(campaign_work.kill_once, chunks, seed=7, workers=2)
-    assert (tmp_path / "killed").exists()
-    same(table, run(campaign_work.draw, [{"i": i} for i in range(12)], seed=7))
-    assert set(done(tmp_path / "log")) == set(range(12))
-
-
-def test_a_chunk_that_always_kills_is_named_and_the_rest_is_kept(tmp_path: Path) -> None:
-    out = tmp_path / "s"
-    with pytest.raises(CampaignError, match=r"chunk 5 \{'i': 5.* has killed its worker 3 times"):
-        run(campaign_work.kill_always, logged(tmp_path, 9), seed=7, workers=2, out=out)
-    kept = {json.loads(line)["chunk"] for line in out.read_bytes().splitlines()[1:]}
-    assert 5 not in kept
-    assert kept >= {0, 1, 2, 3, 4}
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_exception_names_its_chunk_and_can_be_mended(tmp_path: Path, workers: int) -> None:
     out, mended = tmp_path / "s", tmp_path / "mended"
@@ -187,7 +169,7 @@ def test_an_exception_names_its_chunk_and_can_be_mended(tmp_path: Path, workers:
     mended.touch()
     table = run(campaign_work.stumble, chunks, seed=7, workers=workers, out=out)
     assert len(table) == 27
-    assert max(done(tmp_path / "log").values()) == 1
+    assert max(done(tmp_path / "log").values()) <= workers  # what others were at is done again
 
 
 def test_an_interrupt_leaves_no_workers_and_a_good_file(tmp_path: Path) -> None:
@@ -221,13 +203,7 @@ def test_another_question_in_the_same_file_is_refused(tmp_path: Path) -> None:
     content = out.read_bytes()
     for work, chunks, seed, words in (
         (campaign_work.stumble, CHUNKS[:4], 7, "its work is campaign_work:draw"),
-        (campaign_work.draw, CHUNKS[:3], 7, "it has 4 chunks, not 3"),
-        (
-            campaign_work.draw,
-            [*CHUNKS[:3], {"i": 99}],
-            7,
-            "its chunks have {'i': 3, 'rows': 3} in place 3, not {'i': 99}",
-        ),
+        (campaign_work.draw, CHUNKS[:3], 7, "its chunks is [{'i': 0"),
         (campaign_work.draw, CHUNKS[:4], 8, "its seed is {'entropy': 7"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
@@ -311,28 +287,5 @@ def test_workers_that_cannot_start_say_why(tmp_path: Path) -> None:
     )
     ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
     assert ended.returncode == 1
-    last = ended.stderr.strip().splitlines()[-1]
-    assert "workers end as soon as they start" in last
-    assert 'if __name__ == "__main__":' in last
-
-
-def test_a_run_of_chunks_stops_in_time_and_at_a_failure(tmp_path: Path) -> None:
-    def job(work: Any, **more: Any) -> Job:
-        return Job(work, dict(enumerate(logged(tmp_path, 9, **more))), 7)
-
-    slow = job(campaign_work.draw, seconds=0.02).do([3, 1, 2], 0.0)
-    assert (list(slow.lines), slow.back, slow.failure) == ([3], [1, 2], None)
-    assert slow.each >= 0.02
-    fast = job(campaign_work.draw).do([3, 1, 2], 60.0)
-    assert (list(fast.lines), fast.back) == ([3, 1, 2], [])
-    assert fast.lines[3] == slow.lines[3]
-    failed = job(campaign_work.stumble, mended=str(tmp_path / "no")).do([3, 4, 5], 60.0)
-    assert (failed.ended, failed.back) == ([3, 4], [5])
-
-
-def test_short_chunks_are_handed_out_in_runs() -> None:
-    assert batch_size(10_000, 2, 0.25, float("inf")) == 1
-    assert batch_size(10_000, 2, 0.25, 0.005) == 50
-    assert batch_size(10_000, 2, 0.25, 3.0) == 1
-    assert batch_size(100, 2, 0.75, 0.005) == 25  # near the end, so that all end together
-    assert batch_size(8, 2, 0.75, 0.005) == 20  # a tenth of a second is not worth sharing
+    assert "could not start" in ended.stderr
+    assert 'if __name__ == "__main__":' in ended.stderr

@@ -20,7 +20,6 @@ import weberwhisk as ww
 from weberwhisk import _checks, cli
 from weberwhisk.cli import new_app, progress, run_app
 from weberwhisk.commands import SCENES
-from weberwhisk.commands.figure import CHARTS
 from weberwhisk.output import Run
 
 WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
@@ -96,11 +95,11 @@ def test_bend_combines_each_with_each(capsys: pytest.CaptureFixture[str]) -> Non
     np.testing.assert_allclose(moment[::2], -moment[1::2], rtol=1e-12)
 
 
-@pytest.mark.parametrize("command", [["jnd", "--draws", "2"], ["figure", "jnd-limits", "--short"]])
 def test_a_named_whisker_taken_as_straight_is_said(
-    command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert run_app(cli.app, [*command, "--identity", "C2", "--out", str(tmp_path)]) == 0
+    asked = ["jnd", "--draws", "2", "--identity", "C2", "--out", str(tmp_path)]
+    assert run_app(cli.app, asked) == 0
     said = capsys.readouterr().out
     assert "C2 is taken as straight; its shape at rest moves r by up to" in said
     assert "write --curvature-per-m own" in said
@@ -272,13 +271,6 @@ def every_command() -> dict[str, Any]:
     return {name: group.get_command(context, name) for name in cli.COMMANDS}
 
 
-def test_the_list_of_commands_says_what_their_own_help_does() -> None:
-    group: Any = typer.main.get_command(cli.app)
-    for name, command in every_command().items():
-        assert group.commands[name].short_help == command.help.splitlines()[0] != "", name
-        assert command.name == name
-
-
 @pytest.mark.parametrize("arguments", [["--version"], ["--help"], []])
 def test_nothing_heavy_is_imported_before_a_command_is_used(arguments: list[str]) -> None:
     heavy = "numpy scipy pandas matplotlib arviz emcee rich h5py distributed weberwhisk.commands"
@@ -317,7 +309,7 @@ def test_every_command_has_the_common_options() -> None:
     commands = every_command()
     assert "bend" in commands
     # What is charted or analysed is the same each time, and `next` speaks JSON anyway.
-    same = {name: {"--seed"} for name in ("chart", "analyse", "locate")}
+    same = {name: {"--seed"} for name in ("analyse", "locate")}
     without = same | {"next": {"--json"}}
     for name, command in commands.items():
         options = {name for parameter in command.params for name in parameter.opts}
@@ -331,15 +323,6 @@ def test_a_value_error_of_weberwhisk_is_a_refusal(capsys: pytest.CaptureFixture[
     assert run_app(probe(command), ["probe"]) == 2
     sentence = "weberwhisk: length must be above zero, got -1; give metres, such as 1.\n"
     assert capsys.readouterr().err == sentence
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyError, TypeError, RuntimeError, OSError])
-def test_any_other_error_is_a_bug_and_shows(error: type[Exception]) -> None:
-    def command() -> None:
-        raise error("a bug")
-
-    with pytest.raises(error, match="a bug"):
-        run_app(probe(command), ["probe"])
 
 
 def test_a_value_error_inside_numpy_is_a_bug(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -373,12 +356,6 @@ def test_an_interrupted_command_ends_quietly(
     assert run_app(probe(command), ["probe"]) == 130
     assert capsys.readouterr() == ("", "")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_termination_handler_is_put_back() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    run_app(cli.app, ["--version"])
-    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_progress_is_for_a_terminal_only(
@@ -553,23 +530,6 @@ def test_jnd_of_the_force_map_combines_each_with_each(
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "jnd.csv", "jnd.png", "jnd.svg", "jnd.run.json",
     }  # fmt: skip
-
-
-def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_app(cli.app, ["figure"]) == 0
-    listed = capsys.readouterr().out
-    assert all(name in listed for name in CHARTS)
-    out = tmp_path / "out"
-    for name in ("jnd-limits", "best-cue"):  # all are drawn in test_figures.py
-        assert run_app(cli.app, ["figure", name, "--short", "--out", str(out)]) == 0
-        assert len(pd.read_csv(out / f"{name}.csv")) >= 25
-        assert (out / f"{name}.png").stat().st_size > 0
-    assert {path.stem for path in out.glob("*.png")} == {"jnd-limits", "best-cue"}
-    capsys.readouterr()
-    assert run_app(cli.app, ["figure", "ridge"]) == 2
-    assert "write --out ridge" in capsys.readouterr().err
-    assert run_app(cli.app, ["figure", "rigde", "--out", str(out)]) == 2
-    assert "did you mean 'ridge'?" in capsys.readouterr().err
 
 
 @pytest.mark.once

@@ -24,8 +24,6 @@ from weberwhisk.cues import (
     ForceMap,
     Friction,
     Fused,
-    LateralSlip,
-    SpaceMap,
     UnknownStiffness,
     Vibration,
     VibrissaLength,
@@ -44,7 +42,7 @@ CUES = [
     TWO_TAPS,
     Fused(Compliance(), Vibration(3, phase=True)),
     SOFT,
-    Fused(Compliance(velocity_spread=0.3), LateralSlip(), Fused(Compliance(), Vibration())),
+    Fused(Compliance(velocity_spread=0.3), Fused(Compliance(), Vibration())),
 ]
 
 
@@ -278,13 +276,6 @@ def test_the_prior_of_distance_is_the_mean_of_what_is_held():
     held = observer.space.angle_range(contact[..., 0], contact)[1].mean(axis=1)
     ratio = observer.distance_prior(r) / held
     assert ratio == pytest.approx(ratio[0], rel=2e-3)
-
-
-def test_directions_in_space_alone_are_read_to_whole_turns():
-    """The tilt of a surface, which is a moment's direction too, was taken around as well."""
-    observer = ww.Observer(W, Fused(SpaceMap(), LateralSlip()))
-    reading = observer.signals(np.array([30e-3, 0.2, 3.0, -0.6]))[0]
-    assert np.array_equal(observer.checked_reading(reading), reading)
 
 
 def test_the_cues_of_a_fusion_alone_have_its_reach():

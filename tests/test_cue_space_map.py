@@ -15,7 +15,6 @@ from weberwhisk.cues import (
     ForceMap,
     Friction,
     Fused,
-    LateralSlip,
     SpaceMap,
     UnknownCurvature,
     UnknownHinge,
@@ -99,7 +98,7 @@ def test_readings_that_are_no_numbers_have_no_contact(bad):
 
 
 def test_readings_of_the_wrong_shape_or_kind_are_refused():
-    for cue, words in ((SpaceMap(), "moment"), (ForceMap(), "signals"), (LateralSlip(), "signals")):
+    for cue, words in ((SpaceMap(), "moment"), (ForceMap(), "signals")):
         more = (1e-5,) if isinstance(cue, SpaceMap) else ()
         with pytest.raises(ValueError, match=f"{words} must have 2 numbers"):
             cue.contact(W, [1e-6], *more)

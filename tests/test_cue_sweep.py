@@ -13,7 +13,7 @@ from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
 from weberwhisk.mechanics import elastica, profile
 from weberwhisk.mechanics import objects as slip
 from weberwhisk.mechanics.forward import ForwardModel
-from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
+from weberwhisk.mechanics.objects import cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, follow
 
@@ -23,7 +23,6 @@ PUSH = np.radians(np.arange(1.0, 31.0))
 BODIES = {
     "peg": peg(30e-3, 0.0),
     "cylinder": cylinder(25e-3, -8e-3, 6e-3),
-    "contour": contour(np.array([[20, -2], [35, -4], [35, -15], [20, -15]]) * 1e-3, radius=1e-3),
 }
 
 

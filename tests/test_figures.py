@@ -17,8 +17,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import design, figures
-from weberwhisk.commands import figure
-from weberwhisk.jnd_curves import touches_jnd
+from weberwhisk.jnd_curves import linear_surface
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -281,11 +280,9 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
-    """Every figure of the package, of small tables.
-
-    Those of times are in test_charts.py, the paper's in test_paper_figures.py.
-    """
+    """Every figure of the package, of small tables."""
     tap, force_map = observer(), observer(ww.cues.ForceMap())
+    moment_alone = ww.Observer(WHISKER, ww.cues.ForceMap(), ww.receptors.Weber([0.1, 1e-9]))
     contacts = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
     one = ww.posterior(tap, tap.read(30e-3, seed=1))
     many = ww.posterior(tap, tap.read(contacts[:, :1], seed=1))
@@ -305,56 +302,26 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
     studied = pd.DataFrame(
         {"truth": ["tapered", "cylindrical"] * 3, "log_bayes_factor": np.linspace(-1, 6, 6)}
     )
-    bits = pd.DataFrame(
-        {"cue": ["vibration, 3 modes with phase (d)", "tap (e)", "both"],
-         "alone_bits": [2.8, 4.0, 5.0], "alone_error_bits": 0.1,
-         "added_bits": [1.0, 1.6, np.nan], "added_error_bits": 0.1}
-    )  # fmt: skip
     whiskers = ww.WhiskerArray("rat", "right").protract(np.radians(40))
     all_of_them = ww.ArrayObserver(whiskers)
     touching = all_of_them.read([20e-3, 5e-3], seed=1)
-    some = pd.MultiIndex.from_product([np.linspace(5, 40, 8), np.linspace(-15, 30, 8)])
-    places = pd.DataFrame(
-        {"x_mm": some.get_level_values(0), "y_mm": some.get_level_values(1),
-         "error_mm": np.geomspace(0.05, 3, 64), "best_error_mm": np.geomspace(0.1, 4, 64),
-         "touching": np.arange(64) // 8, "best": np.repeat(["C2", "D1"], 32)}
-    )  # fmt: skip
-    counts = pd.DataFrame(
-        {"count": [1, 5, 20], "correct": [0.55, 0.7, 0.9], "correct_error": 0.02,
-         "touched": [0.2, 0.6, 0.9], "touching": [0.2, 1.0, 4.0], "receptors": "k = 0.1"}
-    )  # fmt: skip
     at = np.repeat([10.0, 20.0, 30.0, 40.0], 4)
     slopes = pd.DataFrame(
         {"radial_distance_mm": at,
          "moment_rate": observer().read(at[:, None] / 1e3, seed=1)[:, 0]}
     )  # fmt: skip
-    estimates = pd.DataFrame(
-        {"method": m, "weber_fraction": k, "n": n, "low": 0.05, "high": 0.1 + 1 / n}
-        for m in ("information", "constant stimuli") for k in (0.1, 0.2) for n in (30, 100, 300)
-    )  # fmt: skip
-    factors = pd.DataFrame(
-        {"method": m, "truth": t, "n": n, "log_bayes_factor": n / 60 + i}
-        for m in ("information", "constant stimuli")
-        for t in (0, 1) for n in (60, 120, 180) for i in range(-2, 3)
-    )  # fmt: skip
-    made = {
-        "adaptive": figures.adaptive({"estimation": estimates, "discrimination": factors}),
-        "array_counts": figures.array_counts(counts),
-        "array_map": figures.array_map(places, whiskers),
+    return {
         "bending": figures.bending(lines),
         "calibrated": figures.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
-        "cue_information": figures.cue_information(bits),
-        "touches": figures.touches(
-            touches_jnd(force_map, 30e-3, 0.2, (1, 2, 5), n_readings=3, seed=1).assign(
-                receptors="k = 0.1"
-            )
-        ),
         "information_map": figures.information_map(
             design.information(hypotheses, [10e-3, 20e-3, 30e-3], [-2e-3, 1e-3, 2e-3])
         ),
         "jnd_lines": figures.jnd_lines(
             ww.jnd_curve(force_map, contacts[::3, :1], [0.1, 0.2], n_readings=4, seed=1)
+        ),
+        "jnd_surface": figures.jnd_surface(
+            linear_surface(moment_alone, 20), length=50e-3, weber_fraction=0.1
         ),
         "located": figures.located(ww.locate(table, WHISKER)),
         "pairs": figures.pairs(fit),
@@ -376,24 +343,12 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "shrinkage": figures.shrinkage(population),
         "whisker_array": figures.whisker_array(whiskers),
     }  # fmt: skip
-    functions = {
-        "cues": "cue_jnds", "outcomes": "cue_outcomes", "best-cue": "best_cue",
-        "weber-2d": "weber_2d", "behaviour": "decisions",
-    }  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)
-        # Drawn above, and by the paper's command.
-        for name in figure.CHARTS.keys() - {"figure-4a", "figure-4b", "information"}:
-            make = figure.CHARTS[name]
-            made[functions.get(name, name.replace("-", "_"))] = make(figure.Asked(short=True)).chart
-    return made
 
 
 def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
     """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
     no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
-                  "plan_page", "shown", "styled", "fits_and_growth", "speed_accuracy",
-                  "paper_1d", "paper_2", "paper_3"}  # fmt: skip
+                  "plan_page", "shown", "styled"}  # fmt: skip
     assert set(figures.__all__) - no_figures <= set(drawn)
     found = {
         name: faults(one if isinstance(one, Figure) else figures.figure_of(one))

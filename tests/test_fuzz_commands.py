@@ -1,4 +1,4 @@
-"""The commands around an experiment, fuzzed: design, rehearse, next, quickstart and chart.
+"""The commands around an experiment, fuzzed: design, rehearse, next and quickstart.
 
 As in `test_fuzz`: an answer or one sentence, never a traceback or a hang; and whatever ends a
 command that was writing leaves the old files, the new ones, or a log that can be gone on with.
@@ -7,11 +7,11 @@ command that was writing leaves the old files, the new ones, or a log that can b
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-import time
-from contextlib import chdir
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import chdir, contextmanager
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -25,7 +25,6 @@ from hypothesis import strategies as st
 from test_fuzz import NUMBERS, WHISKERS, WORDS, check, deadline, refused, refused_by_us, run
 
 import weberwhisk as ww
-from weberwhisk import charts
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, read_plan, taper
 
 #: Whole numbers that a command can carry out in a moment, and those that it must refuse.
@@ -169,86 +168,32 @@ def test_any_rehearsal_is_done_or_refused(
     words += [w for pair in given_options for w in pair if pair != ("--workers", "2")][:4]
     with TemporaryDirectory() as folder:
         (Path(folder) / "plan.json").write_text(TEXT, "utf-8")
-        with mock.patch("weberwhisk.campaign.Processes", _one_process):
+        with mock.patch("weberwhisk.campaign._processes", _one_process):
             check([*words, "--json"] if as_json else words, Path(folder))
 
 
-def _one_process(workers: int) -> object:
-    from weberwhisk.campaign import Workers
-
-    return Workers()
+@contextmanager
+def _one_process(workers: int) -> Iterator[tuple[ThreadPoolExecutor, object]]:
+    with ThreadPoolExecutor(1) as pool:
+        yield pool, lambda: None
 
 
 @settings(max_examples=6)
 @given(
-    st.sampled_from(["quickstart", "chart"]),
-    st.sampled_from(
-        ["--weber-fraction", "--draws", "--identity", "--seed", "--out", "--full", "x"]
-    ),
+    st.sampled_from(["--weber-fraction", "--draws", "--identity", "--seed", "--out", "x"]),
     st.one_of(st.sampled_from(["-1", "nan", "x", "1.5", "", "inf", "-inf"]), st.text(max_size=4)),
 )
-def test_quickstart_and_chart_refuse_what_they_do_not_know(
-    command: str, option: str, value: str
-) -> None:
-    """What they would carry out takes seconds, and other tests do it."""
-    words = [command, option, value]
-    with TemporaryDirectory() as folder, mock.patch.object(charts, "PARTS", {}):
+def test_quickstart_refuses_what_it_does_not_know(option: str, value: str) -> None:
+    """What it would carry out takes seconds, and other tests do it."""
+    words = ["quickstart", option, value]
+    with TemporaryDirectory() as folder:
         (Path(folder) / "file").write_text("")
-        if option == "--out" or (option, command) == ("--seed", "quickstart"):
-            words = [command, "--out", "file"]  # a folder that is a file
+        if option in ("--out", "--seed"):
+            words = ["quickstart", "--out", "file"]  # a folder that is a file
         check(words, Path(folder))
 
 
-# -- killed and at once ---------------------------------------------------------------------------
-
-SLOWLY = """
-import sys, time
-from functools import partial
-from weberwhisk import charts, cli
-from weberwhisk.cli import run_app
-
-sys.path.insert(0, sys.argv.pop(1))
-from test_charts import made_up
-tables = made_up()
-
-def slow(name, full):
-    time.sleep(0.05)
-    return tables[name]
-
-charts.PARTS = {name: partial(slow, name) for name in tables}
-print("begun", flush=True)
-sys.exit(run_app(cli.app, ["chart", "--out", "chart", "--json"]))
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_chart_leaves_nothing_or_the_whole(tmp_path: Path) -> None:
-    """Killed at its start and at work, whatever it was at; then run to its end."""
-    folder = tmp_path / "chart"
-    for wait in (0.01, 0.5, None):
-        with subprocess.Popen(
-            [sys.executable, "-c", SLOWLY, str(Path(__file__).parent)],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-        ) as process:
-            assert process.stdout is not None
-            process.stdout.readline()
-            if wait is None:
-                process.stdout.read()
-                assert process.wait() == 0
-            else:
-                time.sleep(wait)
-                process.send_signal(signal.SIGKILL)
-        made = {path.name for path in folder.iterdir()} if folder.exists() else set()
-        if made or wait is None:
-            assert made == {
-                "beams.csv", "posteriors.csv", "fits.csv", "growth.csv", "jnds.csv",
-                "chart.run.json",
-                "speed_accuracy.png", "speed_accuracy.svg",
-                "fits_and_growth.png", "fits_and_growth.svg",
-            }  # fmt: skip
-            json.loads((folder / "chart.run.json").read_text("utf-8"))
-
+# -- at once ---------------------------------------------------------------------------
 
 def test_two_conversations_do_not_write_one_log(tmp_path: Path) -> None:
     """The second is refused in a sentence, and the first goes on."""

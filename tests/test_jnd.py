@@ -10,7 +10,6 @@ from weberwhisk.cues import (
     Compliance,
     ForceMap,
     Friction,
-    LateralSlip,
     SpaceMap,
     UnknownCurvature,
 )
@@ -262,24 +261,9 @@ def test_next_to_a_curvature_of_nothing_is_as_without_any():
     assert jnd[0] == pytest.approx(jnd[1], rel=1e-6)
 
 
-def test_linear_is_the_same_of_a_tilt_to_either_side():
-    """Steps about negative values went to the other side."""
-    noise = GeneralisedWeber([0.1, 0.0], floor=[0.0, 0.1])
-    observer = ww.Observer(W, LateralSlip(friction_angle=0.2), noise)
-    for tilt in (0.3, 1.2):
-        assert is_linear(observer, [20e-3, tilt]) == is_linear(observer, [20e-3, -tilt])
-
-
 def test_linear_is_the_same_at_all_azimuths():
     """An azimuth that may be any has no ends: near ±π it was taken for known."""
     observer = ww.Observer(W, SpaceMap())
     contact = [[30e-3, 0.2, azimuth] for azimuth in (0.5, 3.13, np.pi, -3.13)]
     assert is_linear(observer, contact).all()
     assert np.ptp(fisher_jnd(observer, contact)) < 1e-12
-
-
-def test_the_old_name_of_the_number_of_readings_still_works():
-    with pytest.warns(DeprecationWarning, match="n_readings"):
-        old = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, draws=4, seed=1)
-    new = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, n_readings=4, seed=1)
-    assert old.table.equals(new.table)

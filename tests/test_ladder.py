@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from weberwhisk import Model, Outcome
 from weberwhisk.cli import app, run_app
 from weberwhisk.mechanics import closed_form, elastica, profile, rod
 from weberwhisk.mechanics.model_choice import _direction
+from weberwhisk.mechanics.scene import press_by
 from weberwhisk.mechanics.shape import Parabola, Profile
 from weberwhisk.whisker import _morphology
 
@@ -149,14 +149,12 @@ def test_a_rolled_whisker_is_met_at_rest():
         (lambda: ww.bend(CURVED, 3e-2, 1e-5, model="rod"), "choose one of closed_form, elastica"),
         (lambda: ww.bend(STRAIGHT, 3e-2, 1e-5, np.nan), "friction_angle must be finite"),
         (lambda: ww.press(STRAIGHT, 3e-2, 0.1, roll=np.inf), "roll must be finite"),
-        (lambda: ww.press(STRAIGHT, 3e-2, 0.1, tolerance=0.1, model="elastica"), "one of the two"),
-        (lambda: ww.press(STRAIGHT, 3e-2, 0.1, tolerance=0.0), "tolerance must be above zero"),
+        (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, tolerance=0.0), "tolerance must be above"),
         (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, weber_fraction=-1), "weber_fraction must be"),
         (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, 2.0), "friction_angle must be between"),
         (lambda: ww.choose_model(STRAIGHT, [1e-2] * 3, [0.1] * 2), "must broadcast"),
         (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, cue=Felt(("warmth",))), "got warmth for"),
         (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, cue=Felt(("moment",), 2)), "no more"),
-        (lambda: ww.press(STRAIGHT, 3e-2, [0.1] * 2, model=three()), "must broadcast"),
         (lambda: ww.flick_past(STRAIGHT, 3e-2, side=2), "side must be 1 or -1"),
         (lambda: ww.flick_past(CURVED, 3e-2, roll=0.2), "a roll of 0.2 rad; write press"),
         (lambda: ww.bend(CURVED, 3e-2, 1e-5, roll=0.2), "a roll of 0.2 rad; write rod.bend"),
@@ -176,10 +174,6 @@ class Felt:
     @property
     def unknowns(self):
         return ("radial_distance", "deflection_angle")[: self.count]
-
-
-def three():
-    return ww.choose_model(STRAIGHT, [1e-2, 2e-2, 3e-2], 0.1)
 
 
 @pytest.mark.parametrize("package", [ww, ww.mechanics])
@@ -238,9 +232,7 @@ def test_every_rung_on_one_scene(name):
     azimuth, _ = first_touch(whisker, r, roll)
     theta = azimuth + push
     choice = ww.choose_model(whisker, r, theta, psi, roll=roll)
-    by_model = [
-        ww.press(whisker, r, theta, psi, roll=roll, model=forced(model, choice)) for model in Model
-    ]
+    by_model = [press_by(whisker, r, theta, psi, roll, model) for model in Model]
     top = ww.press(whisker, r, theta, psi, roll=roll)
     assert [b.model for b in by_model] == list(Model)
     assert top.outcome is Outcome.HELD
@@ -251,9 +243,9 @@ def test_every_rung_on_one_scene(name):
             assert choice.error[model] == 0
         elif np.isfinite(choice.error[model]):
             off = np.max(np.abs(signals(b) / signals(top) - 1))
-            assert choice.error[model] == pytest.approx(off, rel=0.1)
-        else:  # not vouched for: past half the way to the fold, and truly far off
-            assert name in ("close to the fold", "friction on a curved whisker")
+            assert choice.error[model] == pytest.approx(off, rel=1e-3, abs=1e-6)
+        else:
+            assert not b.held
     if top.model != Model.ROD:  # which test_rod holds to a referee of its own
         side = np.sign(push)
         mirrored = whisker
@@ -269,10 +261,6 @@ def test_every_rung_on_one_scene(name):
         np.testing.assert_allclose(again[:3], np.abs(signals(top)), rtol=1e-9)
 
 
-def forced(model, choice):
-    return ww.Choice(model, choice.error, choice.bias, choice.tolerance)
-
-
 def first_touch(whisker, r, roll):
     """Azimuth and elevation at which a rolled whisker at rest has the distance r."""
     rest = profile.rest_angle(whisker, r)
@@ -283,7 +271,7 @@ def first_touch(whisker, r, roll):
 # Which model a scene needs
 
 
-@pytest.mark.parametrize(("count", "known"), [(1, True), (2, True), (2, False), (3, False)])
+@pytest.mark.parametrize(("count", "known"), [(2, True), (2, False), (3, False)])
 def test_bias_in_jnds_is_that_of_weighted_least_squares(count, known):
     """|q·δ/s|/k against the matrices it comes from, for any slopes."""
     rng = np.random.default_rng(1)
@@ -300,58 +288,6 @@ def test_bias_in_jnds_is_that_of_weighted_least_squares(count, known):
         )
 
 
-def test_estimates_are_exact_as_what_they_estimate_goes_to_zero():
-    """First Newton step: the error of the estimate falls faster than what it estimates."""
-    r, push = 25e-3, 0.25
-    for vary in ("curvature", "friction", "roll"):
-        ratios = []
-        for size in (0.4, 0.1, 0.025):
-            bow, psi, roll = {
-                "curvature": (6 * size, 0.0, 0.0),
-                "friction": (0.0, size / 2, 0.0),
-                "roll": (5.0, 0.0, size),
-            }[vary]
-            w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=bow)
-            theta = first_touch(w, r, roll)[0] + push
-            found = ww.choose_model(w, r, theta, psi, roll=roll)
-            top = ww.press(w, r, theta, psi, roll=roll)
-            lower = ww.press(w, r, theta, psi, roll=roll, model=forced(top.model - 1, found))
-            off = np.max(np.abs(signals(lower) / signals(top) - 1))
-            ratios.append(abs(found.error[top.model - 1] / off - 1))
-        assert ratios[-1] < 3e-3, (vary, ratios)
-        assert ratios[-1] < max(ratios[0] / 4, 1e-3), (vary, ratios)
-
-
-def test_by_default_signals_are_exact_and_the_choice_says_why():
-    assert "models all there is" in ww.press(STRAIGHT, 30e-3, 0.3).why
-    assert "models all there is" in ww.bend(CURVED, 30e-3, 1e-5).why
-    assert "by name" in ww.press(STRAIGHT, 30e-3, 0.3, model="elastica").why
-    b = ww.press(STRAIGHT, 25e-3, [0.01, 0.4], weber_fraction=0.1)
-    np.testing.assert_array_equal(b.model, [Model.CLOSED_FORM, Model.ELASTICA])
-    assert b.choice.unit == "JND"
-    assert "0.1 allowed" in b.why[0]
-    by_cue = ww.press(STRAIGHT, 25e-3, [0.01, 0.4], cue=ww.cues.Compliance())
-    np.testing.assert_array_equal(b.model, by_cue.model)
-
-
-@pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-6])
-def test_without_noise_the_tolerance_is_the_relative_error_of_the_signals(tolerance):
-    rng = np.random.default_rng(4)
-    n = 400
-    bow = np.where(rng.random(n) < 0.5, 0.0, 10 ** rng.uniform(-6, 0.6, n))
-    w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=bow)
-    r, push = rng.uniform(5e-3, 28e-3, n), 10 ** rng.uniform(-4, -0.3, n)
-    theta = profile.rest_angle(w, r) + push
-    b, exact = ww.press(w, r, theta, tolerance=tolerance), ww.press(w, r, theta, model="profile")
-    assert np.all(exact.held)
-    off = np.max(np.abs(signals(b) / signals(exact) - 1), axis=0)
-    assert np.mean(off <= tolerance + 10 * exact.error) >= 0.995
-    assert len(set(b.model)) == 3
-    assert b.choice.unit == "of a signal"
-    assert f"{tolerance:g} allowed" in b.why[np.argmin(b.model)]
-    np.testing.assert_array_equal(b.choice.bias, b.choice.error)
-
-
 def test_one_call_may_take_several_rungs():
     w = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=np.array([0.0, 0.5, 5.0, 5.0]))
     r, theta = 25e-3, np.array([[0.01], [0.4]])
@@ -360,16 +296,14 @@ def test_one_call_may_take_several_rungs():
     assert choice.model.shape == choice.why.shape == (2, 4)
     assert choice.error.shape == choice.bias.shape == (2, 4, 4)
     assert set(np.ravel(choice.model)) == set(Model)
-    b = ww.press(w, r, theta, **scenes, tolerance=0.1, weber_fraction=0.03)
-    again = ww.press(w, r, theta, **scenes, model=choice)
+    b = press_by(w, r, theta, 0.0, scenes["roll"], choice.model)
     exact = ww.press(w, r, theta, **scenes)
-    np.testing.assert_array_equal(b.model, choice.model)
-    np.testing.assert_array_equal(signals(b), signals(again))
     assert np.all(b.held)
     # What the chosen model is off by is what it says, and so small that no one feels it.
     off = np.abs(signals(b) / signals(exact) - 1)
     assert np.all(off[0] <= 0.1 * 0.03)
-    np.testing.assert_allclose(off.max(axis=0), b.error, rtol=0.1, atol=1e-6)
+    said = np.take_along_axis(choice.error, choice.model[..., None], -1)[..., 0]
+    np.testing.assert_allclose(off.max(axis=0), said, rtol=1e-3, atol=1e-6)
     one = ww.choose_model(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), r, 0.4)
     assert isinstance(one.model, Model)
     assert isinstance(one.why, str)
@@ -385,7 +319,7 @@ def test_it_says_why():
     )
     assert words.endswith("JND, 0.1 allowed")
     end = ww.flick_past(CURVED, 40e-3).deflection_angle
-    assert "finds no contact here, or one" in ww.choose_model(CURVED, 40e-3, 2 * end).why
+    assert "finds no contact here" in ww.choose_model(CURVED, 40e-3, 2 * end).why
 
 
 def test_a_cue_is_judged_by_what_it_feels():
@@ -405,8 +339,8 @@ def test_where_nothing_is_held_the_rung_that_knows_is_taken():
     r = np.array([35e-3, 60e-3, 49.999e-3])
     theta = np.array([0.6, 0.1, 0.5])
     for w in (STRAIGHT, CURVED):
-        b, exact = ww.press(w, r, theta, weber_fraction=0.1), ww.press(w, r, theta)
-        np.testing.assert_array_equal(b.outcome, exact.outcome)
+        b, choice = ww.press(w, r, theta), ww.choose_model(w, r, theta)
+        np.testing.assert_array_equal(b.model, choice.model)
         assert not np.any(b.held)
         assert np.all(np.isnan(signals(b)))
         assert np.all(np.isnan(b.error))
@@ -584,35 +518,6 @@ def test_the_rung_taken_is_right_in_a_thousand_scenes(count, seed):
     assert cheapest >= 0.90
     assert met_held >= 0.995
     assert cheapest_held >= 0.95
-
-
-def test_a_reason_to_reject_is_never_one_to_accept():
-    """Biases about the tolerance, and just below where the margin for the estimate rejects them."""
-    tolerance = 0.1
-    for bias in (0.0951, 0.0999, 0.1, 0.1000001, 0.1004, 0.12, 0.4):
-        off = np.array([bias, 0.0, 0.0, 0.0])
-        why = ww.Choice(ww.Model.ELASTICA, off, off, tolerance).why
-        said, allowed = re.search(r"closed form is off by (\S+) JND, (.*)", why).groups()
-        if allowed == "0.1 allowed":
-            assert float(said) > tolerance
-        else:
-            assert allowed == "too near the 0.1 allowed to be sure of an estimate"
-            assert bias <= tolerance
-            assert float(said) <= tolerance
-    w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=0.5)
-    angles = np.radians(np.linspace(1, 25, 400))
-    for reason in ww.choose_model(w, 25e-3, angles, weber_fraction=0.1).why:
-        for said in re.findall(r"off by (\S+) JND, 0.1 allowed(?! and)", reason.split("; ")[-1]):
-            assert float(said) > tolerance or "nothing is cheaper" in reason
-
-
-def test_the_old_names_of_a_model_still_work():
-    with pytest.warns(DeprecationWarning, match="weberwhisk.Model"):
-        assert ww.Rung is ww.Model
-    with pytest.warns(DeprecationWarning, match="weberwhisk.mechanics.choose_model"):
-        assert ww.mechanics.choose_rung is ww.choose_model
-    with pytest.warns(DeprecationWarning, match="Choice.model"):
-        assert ww.choose_model(ww.Whisker(50e-3, 1e-4, 5e-6), 20e-3, 0.1).rung == 0
 
 
 def test_slopes_of_a_rolled_whisker_are_those_of_each_alone() -> None:

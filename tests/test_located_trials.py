@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from analysis_scripts import load
 from scipy.special import ndtr
 from short_forms import short_or_full, slow_but
 
@@ -29,6 +30,8 @@ from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.one_distance import Group, one_distance
+
+simulate_tracking = load("tracked_session").simulate_tracking
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
@@ -228,7 +231,7 @@ def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
             nominal, encoding, weber_fraction=k, scatter=2.5e-3, sd=0.0, seed=100 + seed
         )
         truth = truth.sort_values(["trial", "interval"]).drop(columns=["radial_distance_mm"])
-        video, _ = ww.simulate_tracking(
+        video, _ = simulate_tracking(
             whisker, 1e-3 * truth["true_mm"].to_numpy(), frames=per * len(truth), spacing_px=15.0,
             frame_rate=20.0 * per, whisking_hz=20.0, deflection=0.25, missing=0.0, seed=200 + seed,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from scipy.linalg import eigh, expm, lu_factor, lu_solve
 from scipy.optimize import brentq
 from short_forms import slow_but
 
-from weberwhisk.mechanics.modes import impulse_response, modes, quasi_static, transfer
+from weberwhisk.mechanics.modes import impulse_response, modes
 from weberwhisk.mechanics.shape import Profile
 from weberwhisk.whisker import Whisker
 
@@ -250,15 +250,6 @@ def test_impulse_response_is_that_of_a_damped_oscillator_per_mode():
     np.testing.assert_allclose(ring.amplitude, push * m.shape(r).T)
 
 
-def test_the_spectrum_is_the_transform_of_the_ringing():
-    m = modes(TAPER, 2, damping_ratio=0.2)
-    t, h = np.linspace(0, 0.6, 200001, retstep=True)
-    f = np.array([0.0, 30.0, m.frequency[0], 250.0])
-    ring = impulse_response(m, 20e-3, t).moment
-    by_hand = np.trapezoid(ring * np.exp(-2j * np.pi * f[:, None] * t), dx=h)
-    np.testing.assert_allclose(transfer(m, 20e-3, f), by_hand, rtol=1e-4)
-
-
 def test_nothing_before_the_impulse_and_nothing_from_one_at_the_base():
     m = modes(TAPER, 3, damping_ratio=0.1)
     assert np.all(impulse_response(m, 20e-3, [-0.1, -1e-6]).moment == 0)
@@ -273,7 +264,6 @@ def test_nothing_before_the_impulse_and_nothing_from_one_at_the_base():
         (lambda: modes(TAPER, 1.5), "count must be a whole number"),
         (lambda: modes(TAPER, 3, damping_ratio=1.0), "damping_ratio must be below 1"),
         (lambda: modes(Whisker([0.05, 0.04], 1e-4, 5e-6)), "one whisker at a time"),
-        (lambda: quasi_static(Whisker([0.05, 0.04], 1e-4, 5e-6), 0.02), "one whisker at a time"),
         (lambda: modes(TAPER).shape(0.06), "must be on the whisker of 0.05 m, got 0.06"),
     ],
 )

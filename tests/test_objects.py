@@ -10,16 +10,12 @@ from scipy.optimize import brentq, minimize_scalar
 
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.contact import Outcome
-from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
+from weberwhisk.mechanics.objects import cylinder, peg, sweep, wall
 from weberwhisk.mechanics.profile import flick_past, press, rest_angle
 from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 CURLED = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)  # towards the object
-STAR = 5e-3 * np.array([[np.cos(t), np.sin(t)] for t in 0.8 * np.pi * np.arange(5)])
-SQUARE = np.array([[20, -5], [30, -5], [30, -15], [20, -15]]) * 1e-3
-
-
 def test_a_peg_is_press_at_every_angle():
     s = sweep(W, peg(35e-3, 0.0), np.radians([-5, 0.001, 5, 15, 24, 25]))
     np.testing.assert_array_equal(s.bending.outcome, [4, 0, 0, 0, 0, 2])
@@ -114,31 +110,6 @@ def test_a_tilted_wall_is_the_level_one_seen_from_a_turned_frame():
     assert tilted.first_contact == pytest.approx(level.first_contact - turn, abs=1e-9)
 
 
-def test_a_contour_is_touched_corner_edge_corner():
-    s = sweep(W, contour(SQUARE), np.radians(np.arange(5, 66, 4.0)))
-    assert s.first_contact == pytest.approx(np.arctan2(5, 30), abs=1e-9)
-    x, y = s.contact[s.bending.held].T * 1e3
-    np.testing.assert_allclose(y, -5, atol=1e-6)
-    assert x[0] == pytest.approx(30, abs=1e-6)
-    assert x[-1] == pytest.approx(20, abs=1e-6)
-    assert np.any((x > 20.1) & (x < 29.9))
-    assert np.all(np.diff(x) < 1e-6)
-    assert s.ended_by is Outcome.FLICKED_PAST
-    # From the last corner on it is a peg there.
-    r, at = np.hypot(20e-3, 5e-3), np.arctan2(-5, 20)
-    assert s.end == pytest.approx(flick_past(W, r).deflection_angle - at, abs=5e-6)
-
-
-@pytest.mark.slow
-def test_a_many_sided_contour_is_nearly_its_circle():
-    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    points = np.stack([30e-3 + 5e-3 * np.cos(turn), -5e-3 + 5e-3 * np.sin(turn)], axis=1)
-    angles = np.radians([-5, 10, 25])
-    many = sweep(W, contour(points), angles)
-    circle = sweep(W, cylinder(30e-3, -5e-3, 5e-3), angles)
-    np.testing.assert_allclose(many.bending.moment[1:], circle.bending.moment[1:], rtol=5e-3)
-
-
 def test_angles_right_after_first_contact_are_held():
     s = sweep(W, peg(35e-3, 0.0), [-1e-3, 1e-8, 2e-8, 1e-3])
     np.testing.assert_array_equal(s.bending.outcome, [4, 0, 0, 0])
@@ -208,8 +179,6 @@ BODIES = {
     "cylinder": cylinder(30e-3, -12e-3, 5e-3),
     "level": wall(0.0, -30e-3, 0.0),
     "steep": wall(45e-3, -10e-3, 1.2),
-    "square": contour(SQUARE - [0, 10e-3]),
-    "rounded": contour(SQUARE - [0, 10e-3], 2e-3),
 }
 
 
@@ -220,7 +189,7 @@ BODIES = {
             name, w, id=f"{name}-{shape}", marks=[pytest.mark.slow] * (slow or (i + j) % 2)
         )
         for i, name in enumerate(BODIES)
-        for slow in [name in ("peg", "steep")]  # a corner and an edge, as a square and a level have
+        for slow in [name in ("peg", "steep")]
         for j, (shape, w) in enumerate({"straight": W, "curled": CURLED}.items())
     ],
 )
@@ -261,9 +230,10 @@ def test_a_whisker_curved_towards_a_wall_ends_where_it_touches_twice():
 
 
 def test_depth_is_the_signed_distance():
-    box = contour(SQUARE, 1e-3)
-    x, y = np.array([25, 25, 20.5, 10, 17, 25]), np.array([-5, -10, -10, -10, -1, -3])
-    np.testing.assert_allclose(box.depth(x * 1e-3, y * 1e-3) * 1e3, [1, 6, 1.5, -9, -4, -1])
+    level, round_one = wall(0.0, -5e-3, 0.0), cylinder(20e-3, -5e-3, 2e-3)
+    x, y = np.array([25e-3, 20e-3]), np.array([-8e-3, -4e-3])
+    np.testing.assert_allclose(level.depth(x, y), [3e-3, -1e-3], atol=1e-15)
+    np.testing.assert_allclose(round_one.depth(x, y), [2e-3 - np.hypot(5, 3) * 1e-3, 1e-3])
 
 
 def test_nothing_in_reach_and_a_sweep_that_ends_in_contact():
@@ -325,9 +295,6 @@ def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker,
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: contour([[0, 0], [1, 0], [0.5, 0.1], [1, 1]]), "must be convex"),
-        (lambda: contour([[0, 0], [1, 0]]), "must be convex, of three points"),
-        (lambda: contour(SQUARE.mean(0) + STAR), "must be convex"),
         (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending numbers"),
         (lambda: sweep(W, peg(0.03, 0.0), [0.1], [0.1, 0.2]), "friction_angle must be one number"),
         (lambda: sweep(W, 0.03, [0.0, 0.1]), "body must be an object, got"),

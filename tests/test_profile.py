@@ -15,7 +15,7 @@ from weberwhisk.mechanics import elastica, equilibrium
 from weberwhisk.mechanics.beam import rows_of
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.continuation import Branch, walk, zero_load
-from weberwhisk.mechanics.profile import bend, flick_past, press, rest_angle, sticking
+from weberwhisk.mechanics.profile import bend, flick_past, press, rest_angle
 from weberwhisk.mechanics.shape import Parabola, Profile, Spiral
 from weberwhisk.whisker import Whisker
 
@@ -389,23 +389,6 @@ def test_friction_angle_tilts_the_force_towards_the_base():
     assert np.arctan2(p.axial_force, p.transverse_force) == pytest.approx(p.contact_angle + 0.3)
 
 
-def test_sticking_range_holds_the_frictionless_contact_and_closes_with_the_friction():
-    wide, narrow = (sticking(STRAIGHT, 25e-3, 0.25, mu) for mu in (0.48, 1e-6))
-    free = press(STRAIGHT, 25e-3, 0.25)
-    assert wide.inward.axial_force < free.axial_force < wide.outward.axial_force
-    assert narrow.inward.axial_force == pytest.approx(narrow.outward.axial_force, rel=1e-4)
-    assert not wide.stuck_inward
-    assert not wide.stuck_outward
-
-
-def test_friction_at_which_nothing_slides():
-    """Towards the base a strong tilt buckles the whisker: no sliding equilibrium is left."""
-    s = sticking(STRAIGHT, 44e-3, np.radians(9), friction_coefficient=[0.1, 20.0])
-    np.testing.assert_array_equal(s.stuck_outward, [False, True])
-    assert s.outward.outcome[1] == Outcome.STUCK
-    assert np.isnan(s.outward.moment[1])
-
-
 def test_friction_of_a_right_angle_is_refused():
     with pytest.raises(ValueError, match=r"between −π/2 and π/2, got 1\.6"):
         bend(STRAIGHT, 25e-3, 1e-6, 1.6)
@@ -514,7 +497,6 @@ def test_whiskers_scenes_and_friction_broadcast():
         (lambda: Profile.tabulated([0, 2e-2, 1e-2], [1e-4, 5e-5, 1e-5]), "must ascend from 0"),
         (lambda: Profile.tabulated([0, 2e-2], [1e-4]), "need one value a knot"),
         (lambda: flick_past(STRAIGHT, 1e-2, side=2), "side must be 1 or -1, got 2"),
-        (lambda: sticking(STRAIGHT, 1e-2, 0.1, -0.1), "must not be negative"),
         (lambda: press(STRAIGHT, -1e-2, 0.1), "must be above zero"),
     ],
 )

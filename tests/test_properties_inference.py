@@ -171,7 +171,6 @@ ALL_CUES = [
     lambda w: cues.VibrissaLength(),
     lambda w: cues.BalanceOfMoments(),
     lambda w: cues.Vibration(),
-    lambda w: cues.LateralSlip(),
     lambda w: cues.UnknownStiffness(cues.Compliance()),
     lambda w: cues.Fused(cues.Compliance(), cues.ForceMap()),
     lambda w: cues.ComparativeLength(

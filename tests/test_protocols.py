@@ -191,7 +191,6 @@ CUES = [
     lambda: cues.AngleSideAngle(5e-3, side_sd=1e-3),
     lambda: cues.TwoWhiskers(neighbour_length=20e-3),
     lambda: cues.ContactAndDetachment(push=0.2),
-    lambda: cues.LateralSlip(friction_angle=0.2),
     lambda: cues.BalanceOfMoments(1.2, effort=None),
 ]
 
@@ -215,10 +214,6 @@ def test_a_cue_that_differs_is_made_of_another():
     assert replace(cues.SpaceMap(three), roll=0.5) == cues.SpaceMap(three, roll=0.5)
     soft = cues.UnknownStiffness(ForceMap(), soft_signals=["moment"])
     assert replace(soft, spread=0.1) == cues.UnknownStiffness(ForceMap(), 0.1, ["moment"])
-    with pytest.warns(DeprecationWarning, match="soft_signals"):
-        assert soft.soft == ("moment",)
-    with pytest.warns(DeprecationWarning, match="signal_names"):
-        assert ForceMap(signals=three) == ForceMap(three)
 
 
 def test_every_unknown_has_its_unit():

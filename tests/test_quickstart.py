@@ -12,10 +12,11 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import cli, surveys
+from weberwhisk import cli
 from weberwhisk.behaviour import load_rat_auditory
 from weberwhisk.cli import run_app
 from weberwhisk.commands import quickstart
+from weberwhisk.jnd_curves import linear_surface
 
 FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")
 
@@ -77,7 +78,7 @@ def test_the_surface_falls_with_distance_and_deflection(numbers: dict) -> None:
 
 def test_the_surface_is_the_small_angle_form_at_small_angles() -> None:
     whisker = ww.Whisker.from_identity("C2")
-    table = surveys.surface(0.1, 1e-10, 20, whisker=whisker)
+    table = linear_surface(quickstart.moment_dominated(whisker, 0.1), 20)
     first = table.groupby("radial_distance_mm").first()
     r, apex = 1e-3 * first.index.to_numpy(), whisker.apex_distance
     form = 0.1 * (apex - r) * (3 * apex - 2 * r) / (2 * apex - r)

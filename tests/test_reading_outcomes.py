@@ -13,7 +13,6 @@ from weberwhisk.cues import (
     ContactAndDetachment,
     ForceMap,
     Fused,
-    LateralSlip,
     SpaceMap,
     TwoWhiskers,
     UnknownStiffness,
@@ -26,7 +25,7 @@ W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 ARRAY = ComparativeLength([30e-3], [[0.0, 6e-3]])
 CUES = [
     VibrissaLength(), ARRAY, AngleSideAngle(), TwoWhiskers(), ContactAndDetachment(), Vibration(2),
-    Compliance(), LateralSlip(), ForceMap(), SpaceMap(), UnknownStiffness(ForceMap()),
+    Compliance(), ForceMap(), SpaceMap(), UnknownStiffness(ForceMap()),
     BalanceOfMoments(), BalanceOfMoments(effort=None), Fused(Compliance(), ForceMap()),
 ]  # fmt: skip
 

@@ -94,22 +94,9 @@ def test_the_force_on_a_tip_is_tilted_as_the_wall_is() -> None:
     np.testing.assert_allclose(again.moment, swept.moment[held], rtol=1e-6)
 
 
-def test_a_step_that_moves_the_moment_far_vouches_for_nothing() -> None:
-    """Next to the fold, with friction: found on a wall, 4.5 JNDs off where 0.09 was estimated.
-
-    One Newton step from the straight whisker's contact doubled the moment, and came to lie on the
-    closed form's by chance.
-    """
-    whisker = ww.Whisker.from_identity("C2")
-    scene = (0.029038053969201436, 0.19407833357666848, -0.17453292519943295)
-    choice = ww.choose_model(whisker, *scene, weber_fraction=0.1)
-    chosen, true = ww.press(whisker, *scene, model=choice), ww.press(whisker, *scene)
-    assert abs(chosen.moment / true.moment - 1) <= 0.1 * costs.TOLERANCE
-
-
 @pytest.mark.slow
 def test_scenes_near_the_fold_are_left_to_the_rung_that_knows() -> None:
-    """Bent towards the push, with friction: the square of the step is what an estimate may miss."""
+    """Bent towards the push, with friction."""
     kind = costs.Kind("", bow=-0.2)
     rng = np.random.default_rng(5)
     whisker, n = kind.whisker("C2"), 2000
@@ -119,7 +106,5 @@ def test_scenes_near_the_fold_are_left_to_the_rung_that_knows() -> None:
     reached = np.isfinite(theta)
     met = costs.Contacts(whisker, r[reached], theta[reached], friction[reached], 0.0)
     true = met.press()
-    off = costs.bias(true, met.press(met.choose(0.3)), 0.3)[np.asarray(true.held)]
-    # Before the square was counted two of these were over, one by four times; of nine thousand such
-    # scenes 34 were, four of them by half and more, before it was of the whisker left as well.
+    off = costs.bias(true, met.press(met.choose(0.3).model), 0.3)[np.asarray(true.held)]
     assert off.max() <= costs.TOLERANCE

@@ -141,8 +141,6 @@ def test_a_curve_has_units_in_its_names_and_the_contact_in_its_index(made: dict[
     plain = {"criterion", "unreliable", "linear", "outcome"}
     assert {name for name in curve.table if not name.endswith("_mm")} == plain
     assert list(curves.lines()) == ["5.73°", "11.46°"]
-    tilted = ww.jnd_curve(ww.Observer(W, ww.cues.LateralSlip()), [20e-3], n_readings=2, seed=1)
-    assert "surface_tilt_deg" in tilted.table
     all_named = with_units(pd.DataFrame({name: [1.0] for name in UNITS}), units=UNITS)
     assert not set(all_named) & set(UNITS)
     assert {"angular_velocity_deg_per_s", "hinge_stiffness_Nm_per_rad"} <= set(all_named)

@@ -10,8 +10,11 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from analysis_scripts import load
 
 import weberwhisk as ww
+
+simulate_tracking = load("tracked_session").simulate_tracking
 
 REAL = Path(__file__).parent / "data" / "tracking" / "test_5frames.measurements"
 
@@ -47,30 +50,6 @@ def _nwb(folder: Path) -> Path:
     return path
 
 
-def _dlc(folder: Path) -> Path:
-    path = folder / "a.csv"
-    path.write_text("scorer,n,n,n,n,n,n\nbodyparts,base,base,base,tip,tip,tip\n"
-                    "coords,x,y,likelihood,x,y,likelihood\n"
-                    "0,0,0,1,3,4,1\n1,0,0,1,6,8,1\n")  # fmt: skip
-    return path
-
-
-def _multi(folder: Path) -> Path:
-    """Two individuals of three keypoints, as DeepLabCut writes them; one point is doubtful."""
-    path, who = folder / "multi.csv", np.repeat(["w0", "w1"], 9)
-    parts = np.tile(np.repeat(list("abc"), 3), 2)
-    coords = np.tile(["x", "y", "likelihood"], 6)
-    rows = [["scorer", *(["net"] * 18)], ["individuals", *who], ["bodyparts", *parts],
-            ["coords", *coords]]  # fmt: skip
-    for frame in range(2):
-        values = np.arange(18.0) + 100 * frame
-        values[2::3] = 0.9
-        values[14] = 0.1 if frame else 0.9
-        rows.append([str(frame), *(str(v) for v in values)])
-    path.write_text("".join(",".join(row) + "\n" for row in rows))
-    return path
-
-
 def _wrapped(folder: Path) -> Path:
     """WhiskiWrap's newer table: every label 0, points from the tip."""
     path = folder / "wrapped.hdf5"
@@ -87,8 +66,7 @@ def _wrapped(folder: Path) -> Path:
     return path
 
 
-WRITERS = {"whiskers": _whisk, "hdf5": _hdf5, "nwb": _nwb, "dlc": _dlc, "multi": _multi,
-           "wrapped": _wrapped}  # fmt: skip
+WRITERS = {"whiskers": _whisk, "hdf5": _hdf5, "nwb": _nwb, "wrapped": _wrapped}
 
 
 def test_the_real_file() -> None:
@@ -117,14 +95,6 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert tables["hdf5"][["frame", "tip_x", "length_px"]].to_numpy().tolist() == [
         [3, 50, 51], [4, 60, 61]]  # fmt: skip
     assert tables["nwb"]["angle_deg"].tolist() == [30, 31]
-    assert tables["dlc"]["length_px"].tolist() == [5, 10]
-    assert tables["multi"][["frame", "whisker"]].to_numpy().tolist() == [
-        [0, 0], [0, 1], [1, 0], [1, 1]]  # fmt: skip
-    assert [v.tolist() for v in tables["multi"]["x"]] == [
-        [0, 3, 6], [9, 12, 15], [100, 103, 106], [109, 115]]  # fmt: skip
-    assert tables["multi"].attrs["notes"][0].startswith("1 of 12 points")
-    whole = ww.read_tracking(tmp_path / "multi.csv", likelihood=0.0)
-    assert whole["x"][3].tolist() == [109, 112, 115]
     assert [v[0] for v in tables["wrapped"]["x"]] == [0] * 4
 
 
@@ -187,7 +157,7 @@ def test_every_damaged_file_has_one_sentence(tmp_path: Path) -> None:
 def test_tables_of_points_with_gaps_swapped_columns_and_other_scales(tmp_path: Path) -> None:
     """NaN and text leave points out; a column in another's place, and mm for m, are told."""
     whisker = ww.Whisker.from_identity("C2", curved=True)
-    video, _ = ww.simulate_tracking(whisker, 15e-3, frames=30, spacing_px=20.0, missing=0.0)
+    video, _ = simulate_tracking(whisker, 15e-3, frames=30, spacing_px=20.0, missing=0.0)
     points = video[["frame", "x", "y"]].explode(["x", "y"]).reset_index(drop=True)
     path, rng = tmp_path / "points.csv", np.random.default_rng(18)
     gaps = points.astype(object)
@@ -315,7 +285,7 @@ def test_a_whisker_without_its_first_keypoint_is_left_out(tmp_path: Path) -> Non
 def test_points_out_of_order_and_from_the_tip_are_told(tmp_path: Path) -> None:
     """Shuffled, twice, and of two whiskers in one: they run to and fro."""
     whisker = ww.Whisker.from_identity("C2", curved=True)
-    video, _ = ww.simulate_tracking(whisker, 15e-3, frames=25, spacing_px=40.0, noise_px=0.1)
+    video, _ = simulate_tracking(whisker, 15e-3, frames=25, spacing_px=40.0, noise_px=0.1)
     path = tmp_path / "points.csv"
     points = video[["frame", "x", "y"]].explode(["x", "y"])
     points.to_csv(path, index=False)

@@ -394,7 +394,6 @@ def test_a_reading_of_nothing_is_no_contact(reading):
     [
         (Compliance(), [0.0]),
         (ForceMap(["moment"], deflection_angle=0.1), [0.0]),
-        (cues.LateralSlip(), [0.0, 0.0]),
         (cues.UnknownStiffness(Compliance()), [0.0]),
         (cues.SpaceMap(), [0.0, 0.0, 0.0, 0.3, 0.1]),
     ],

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from . import along_whisk as along_whisk
     from . import array as array
     from . import behaviour as behaviour
     from . import campaign as campaign
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     from . import receptors as receptors
     from . import sweeping as sweeping
     from .array import WhiskerArray as WhiskerArray
-    from .array_observer import array_by_count as array_by_count
-    from .array_observer import array_by_whisker as array_by_whisker
-    from .array_observer import array_resolution as array_resolution
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
@@ -41,7 +37,6 @@ if TYPE_CHECKING:
     from .contacts import calibrate as calibrate
     from .contacts import locate as locate
     from .contacts import read_tracking as read_tracking
-    from .contacts import simulate_tracking as simulate_tracking
     from .contacts import tracked_signals as tracked_signals
     from .design import plan_experiment as plan_experiment
     from .design import power as power
@@ -77,7 +72,6 @@ if TYPE_CHECKING:
     from .mechanics import press as press
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
-    from .mechanics import sticking as sticking
     from .mechanics import sweep as sweep
     from .output import cite as cite
     from .places import ArrayObserver as ArrayObserver
@@ -90,30 +84,26 @@ if TYPE_CHECKING:
 _NAMES = {
     "whisker": "Whisker identities",
     "array": "WhiskerArray",
-    "array_observer": "array_by_count array_by_whisker array_resolution",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
-    "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
+    "bend choose_model flick_past press rest_angle signal_jacobian sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
     "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
     "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
+    "contacts": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
     "output": "cite",
 }
 _MODULES = {
-    "along_whisk", "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
+    "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
     "inference", "mechanics", "places", "receptors", "sweeping",
 }  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
-
-
-_RENAMED = {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"}
 
 
 def _version() -> str:
@@ -132,9 +122,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version()
     if name not in _HOME:
-        from ._values import renamed_names  # which imports NumPy
-
-        return renamed_names(__name__, _RENAMED)(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     globals()[name] = value
     return value

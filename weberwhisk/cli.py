@@ -242,9 +242,6 @@ COMMANDS = {
     "rehearse": "experiments:rehearse",
     "analyse": "experiments:analyse",
     "next": "choices:next_trials",
-    "paper": "figure:paper",
-    "chart": "figure:chart",
-    "figure": "figure:figure",
 }
 app = lazy_app(f"{__package__}.commands", COMMANDS)
 

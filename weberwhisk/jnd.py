@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from ._checks import generator, whole
-from ._values import Array, Flags, pd, renamed_arguments, with_units
+from ._values import Array, Flags, pd, with_units
 from .cues import Fused
 from .cues.protocol import Cue
 from .inference.coordinates import UNITS
@@ -324,7 +324,6 @@ class DistancePrior:
         return np.interp(np.asarray(probability, dtype=float), self.mass, self.r)
 
 
-@renamed_arguments(draws="n_readings")
 def information(observer: Observer, *, n_readings: int = 400, seed: Seed = None) -> Bits:
     """How much one reading tells of the radial distance, on average over the prior.
 
@@ -462,7 +461,6 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     return Observer(observer.whisker, cue, noise, prior, **how)
 
 
-@renamed_arguments(draws="n_readings")
 def added_information(
     observer: Observer, *, n_readings: int = 400, seed: Seed = None
 ) -> pd.DataFrame:

@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 
 from . import campaign
 from ._checks import angle, finite, generator, one_of, positive, positive_number, whole
-from ._values import Array, Shown, pd, renamed_arguments, with_units
+from ._values import Array, Shown, pd, with_units
 from .cues import Compliance, ForceMap
 from .inference.coordinates import UNITS
 from .inference.observer import Observer, default_noise
 from .inference.touches import shared_unknowns, touches
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
+from .mechanics import elastica, flick_past, press
 from .mechanics.contact import Outcome
 from .receptors import Seed
 from .whisker import Whisker
@@ -126,7 +127,6 @@ class JNDCurve(Shown):
         return parts
 
 
-@renamed_arguments(draws="n_readings")
 def jnd_curve(
     observer: Observer,
     radial_distance: ArrayLike,
@@ -250,10 +250,56 @@ def _contact(
     return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
 
 
+# -- surfaces --------------------------------------------------------------------------------------
+
+
+def linear_surface(observer: Observer, points: int = 90) -> pd.DataFrame:
+    """The linear JND of moment and axial force at every contact up to flick-past (figure 4b).
+
+    Parameters
+    ----------
+    observer : Observer
+        Of a `ForceMap` with Weber noise.
+    points : int
+        Distances, and angles at each of them.
+
+    Returns
+    -------
+    DataFrame
+        As `figures.jnd_surface` takes it. Where one signal alone is noisy there is
+        ``signed_jnd_mm``: to first order an error of that signal moves r by the slope of the
+        *other* in θ_d over the Jacobian; where that slope passes through zero the signed JND does,
+        a false zero that no posterior has.
+    """
+    # Close to the limit the slopes vary fast: angles stand denser there.
+    share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
+    contact, alpha = up_to_the_fold(observer.whisker, np.linspace(0.02, 0.99, points), share)
+    columns = {
+        "radial_distance": contact[..., 0],
+        "deflection_angle": contact[..., 1],
+        "jnd": weber_propagation(observer, contact),
+        "contact_angle": alpha,
+    }
+    moment, force = observer.noise.weber_fractions(2)
+    if min(moment, force) < 1e-6 * max(moment, force):
+        slopes = elastica.signal_jacobian(observer.whisker, *np.moveaxis(contact, -1, 0))[..., 1]
+        columns["signed_jnd"] = columns["jnd"] * np.sign(slopes[..., int(moment > force)])
+    table = pd.DataFrame({name: np.ravel(column) for name, column in columns.items()})
+    angles = ["deflection_angle", "contact_angle"]
+    return with_units(table, [name for name in columns if name not in angles], angles)
+
+
+def up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Array, Array]:
+    """Contacts (P, S, 2) at places over L and shares of the largest deflection; their angles."""
+    r = places * whisker.length
+    limit = np.asarray(flick_past(whisker, r).deflection_angle)
+    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * shares), axis=-1)
+    return contact, press(whisker, contact[..., 0], contact[..., 1]).contact_angle
+
+
 # -- sweeps ----------------------------------------------------------------------------------------
 
 
-@renamed_arguments(draws="n_readings")
 def jnd_sweep(
     whisker: Whisker,
     weber_fraction: ArrayLike,
@@ -273,8 +319,7 @@ def jnd_sweep(
 
     With angles that is figure 4b's surface, by full posteriors: 30 distances × 30 angles × 100
     readings take some 8 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
-    paper's linear surface is there, and where that is not to be believed. ``weberwhisk figure
-    jnd-surface`` draws it, up to where the whisker flicks past.
+    paper's linear surface is there, and where that is not to be believed.
 
     Parameters
     ----------

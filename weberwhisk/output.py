@@ -1,22 +1,11 @@
-"""What is written: files, a command's folder of them, all of it or nothing, and what to cite.
+"""What is written: files, a command's folder of them, and what to cite.
 
 Every command hands its tables and figures to a `Run`, which adds ``<command>.run.json``: inputs,
 versions, seed, times. The files are made in a folder of their own and moved into place when the
-command has ended well. A command that fails, is interrupted or is terminated changes nothing.
-
-What happens to a folder that is there already:
-
-- The command's earlier files, those listed in its ``<command>.run.json``, are replaced, and
-  removed if it does not make them this time: no stale figure stands beside a new table.
-- Every other file stays as it is, and one that stands in the way is a refusal, not overwritten.
-  Several commands may therefore share a folder, and one with data of your own in it.
-- Several files cannot be renamed in one step. The finished set gets the name
-  ``.weberwhisk-finished-…`` in one step, the old record is removed, the files are moved and the
-  new record comes last, while interrupts and other runs wait. After a kill in between the next
-  command that writes there completes the move first.
-
-A process killed outright before that leaves a hidden ``.weberwhisk-unfinished-…`` folder, which
-nothing reads and you may delete.
+command has ended well, so that a command that fails or is interrupted changes nothing. Its earlier
+files, those that its record lists, are replaced, or removed if it does not make them this time;
+every other file stays, and one that stands in the way is a refusal. Several commands may share a
+folder, and one with data of your own in it.
 """
 
 from __future__ import annotations
@@ -26,11 +15,9 @@ import json
 import os
 import platform
 import re
-import secrets
 import shutil
-import signal
 import sys
-import threading
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -47,9 +34,8 @@ from ._values import pd
 
 __all__ = ["Run", "atomic_write", "csv_text", "locked", "to_json"]
 
-FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a full or broken disk answers
-#: What files and folders that are not finished begin with, and finished sets on their way.
-UNFINISHED, FINISHED = ".weberwhisk-unfinished-", ".weberwhisk-finished-"
+#: What files and folders that are not finished begin with.
+UNFINISHED = ".weberwhisk-unfinished-"
 LOCK, RECORD = ".weberwhisk.lock", ".run.json"
 NAME = re.compile(r"\w[\w.-]*")
 
@@ -63,10 +49,9 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
-    part = target.with_name(f"{UNFINISHED}{secrets.token_hex(4)}")
+    part = target.with_name(f"{UNFINISHED}{os.getpid()}")
     try:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-        sync(part)
         os.replace(part, target)
     except OSError as error:
         raise unwritable(target, error) from error
@@ -164,12 +149,6 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no JSON form; turn it into numbers and text.")
 
 
-def sync(path: Path) -> None:
-    """Have the file on the disk before its name is."""
-    with open(path, "r+b") as file:  # Windows flushes only what is open for writing
-        os.fsync(file.fileno())
-
-
 class Run:
     """One run of a command and the files it makes, as a context manager.
 
@@ -210,37 +189,31 @@ class Run:
             raise ValueError(
                 f"The output folder {str(self.out_dir)!r} is a file; name a folder, or a new one."
             )
-        # In the folder itself, or in the nearest one above that exists: so a rename is enough to
-        # move the files, and a failure leaves no empty folders.
+        # In the folder itself, or in the nearest one above that exists: a rename moves the files.
         place = next(p for p in (self.out_dir, *self.out_dir.parents) if p.exists())
-        staging = place / f"{UNFINISHED}{secrets.token_hex(4)}"
+        self._earlier = _made_earlier(self.out_dir / self._record)
         try:
-            self._look_again(self.out_dir)
-            staging.mkdir()
+            self._staging = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=place))
         except OSError as error:
-            raise ValueError(
-                f"The output folder {str(self.out_dir)!r} cannot be written "
-                f"({error.strerror}); name a folder that you may write to."
-            ) from error
-        self._staging = staging
+            raise self._unwritable(error) from error
         return self
+
+    def _unwritable(self, error: OSError) -> ValueError:
+        return ValueError(
+            f"The output folder {str(self.out_dir)!r} cannot be written ({error.strerror}); name a "
+            "folder that you may write to, on a disk with room."
+        )
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         if self._staging is None or self.out_dir is None:
             return
         try:
-            cause = error if isinstance(error, OSError) else getattr(error, "__cause__", None)
-            if isinstance(cause, OSError) and cause.errno in FULL:  # `atomic_write` has words too
-                raise cause
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+                raise error
             if kind is None:
                 self._finish(self._staging, self.out_dir)
         except OSError as wrong:
-            if wrong.errno not in FULL:
-                raise
-            raise ValueError(
-                f"The output folder {str(self.out_dir)!r} cannot be written ({wrong.strerror}); "
-                "make room, or name a folder on another disk. Nothing there was changed."
-            ) from wrong
+            raise self._unwritable(wrong) from wrong
         finally:
             shutil.rmtree(self._staging, ignore_errors=True)
             self._staging = None
@@ -277,17 +250,11 @@ class Run:
             )
         if name in self.files:
             raise ValueError(f"The output file {name!r} is made twice; give each its own name.")
-        if name not in self._earlier:
-            self._look_again(self.out_dir)  # another run may have made it meanwhile
+        if name not in self._earlier:  # another run may have made it meanwhile
+            self._earlier = _made_earlier(self.out_dir / self._record)
         self._spare_others(self.out_dir / name)
         self.files.append(name)
         return self._staging / name
-
-    def _look_again(self, out_dir: Path) -> None:
-        """Complete the moves that were cut short, and read what the folder's record lists."""
-        if out_dir.exists():
-            with locked(out_dir / LOCK):
-                self._earlier = _made_earlier(out_dir, self._record)
 
     def _spare_others(self, target: Path) -> None:
         """Refuse to replace what an earlier run of this command did not make."""
@@ -298,58 +265,30 @@ class Run:
             )
 
     def _finish(self, staging: Path, out_dir: Path) -> None:
-        if not out_dir.exists():
-            self._seal(staging, out_dir)
-            out_dir.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.rename(staging, out_dir)
-                return
-            except OSError:  # unless another run made the folder meanwhile
-                if not out_dir.is_dir():
-                    raise
+        """Move the files into place, the record last."""
+        inputs = plain(self.inputs)
+        out_dir.mkdir(parents=True, exist_ok=True)
         with locked(out_dir / LOCK):
-            self._earlier = _made_earlier(out_dir, self._record)
+            self._earlier = _made_earlier(out_dir / self._record)
             for name in self.files:
                 self._spare_others(out_dir / name)
-            self._seal(staging, out_dir)
-            finished = out_dir / f"{FINISHED}{secrets.token_hex(4)}"
-            with _interrupts_wait():
-                os.rename(staging, finished)
-                _move_into_place(finished, out_dir)
-
-    def _seal(self, staging: Path, out_dir: Path) -> None:
-        """Add the record, and have all on the disk."""
-        removed = [n for n in self._earlier if n not in self.files and (out_dir / n).is_file()]
-        made_with = versions("numpy", "scipy", "emcee", "arviz", "pandas")
-        record = {
-            "command": self.command, "inputs": self.inputs, "seed": self.seed,
-            "files": self.files, "removed": removed, "started": self._started, "finished": now(),
-            "versions": {"python": platform.python_version(), **made_with},
-            "platform": platform.platform(),
-        }  # fmt: skip
-        (staging / self._record).write_text(to_json(record), "utf-8")
-        for path in staging.iterdir():
-            sync(path)
+            removed = [n for n in self._earlier if n not in self.files and (out_dir / n).is_file()]
+            made_with = versions("numpy", "scipy", "emcee", "arviz", "pandas")
+            record = {
+                "command": self.command, "inputs": inputs, "seed": self.seed,
+                "files": self.files, "removed": removed, "started": self._started,
+                "finished": now(), "platform": platform.platform(),
+                "versions": {"python": platform.python_version(), **made_with},
+            }  # fmt: skip
+            (staging / self._record).write_text(to_json(record), "utf-8")
+            for name in removed:
+                (out_dir / name).unlink()
+            for name in (*self.files, self._record):
+                os.replace(staging / name, out_dir / name)
 
 
-def _move_into_place(finished: Path, out_dir: Path) -> None:
-    """Move a finished set of files over an earlier one; safe to repeat after a stop anywhere."""
-    for record in finished.glob(f"*{RECORD}"):  # one, or none if a stop came after its move
-        (out_dir / record.name).unlink(missing_ok=True)
-        for name in json.loads(record.read_text("utf-8"))["removed"]:
-            (out_dir / name).unlink(missing_ok=True)
-        for path in finished.iterdir():
-            if path != record:
-                os.replace(path, out_dir / path.name)
-        os.replace(record, out_dir / record.name)
-    finished.rmdir()
-
-
-def _made_earlier(out_dir: Path, name: str) -> list[str]:
-    """Complete the moves that were cut short; the files that a command's record then lists."""
-    for left in sorted(out_dir.glob(f"{FINISHED}*")):
-        _move_into_place(left, out_dir)
-    record = out_dir / name
+def _made_earlier(record: Path) -> list[str]:
+    """The files that a command's record lists."""
     if not record.exists():
         return []
     with suppress(ValueError, KeyError, TypeError):
@@ -361,23 +300,6 @@ def _made_earlier(out_dir: Path, name: str) -> list[str]:
         f"{str(record)!r} is not a record that weberwhisk wrote; move it, or name another "
         "output folder."
     )
-
-
-@contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    """Hold Ctrl-C and termination back while a set of files is moved."""
-    waiting: list[int] = []
-    before = {}
-    if threading.current_thread() is threading.main_thread():  # interrupts reach no other
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, lambda number, _: waiting.append(number))
-    try:
-        yield
-    finally:
-        for known, handler in before.items():
-            signal.signal(known, handler)
-        for late in waiting:
-            signal.raise_signal(late)
 
 
 def now() -> str:
@@ -472,17 +394,3 @@ def versions(*packages: str) -> dict[str, str | None]:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
-
-
-def machine(*packages: str) -> str:
-    """`versions_in_words` and the kind of processor, for the foot of a figure of times."""
-    words = versions_in_words("numpy", "scipy", "emcee", *packages)
-    return f"{words}; {_processor()}, one core, CPU time"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

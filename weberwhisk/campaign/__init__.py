@@ -3,42 +3,50 @@
 Recovery, power, calibration and surfaces of JNDs are all of one kind: a function of a chunk (what
 to do) and a seed (its own) that returns a table. `run` does it for every chunk, and the answer is
 the same to the bit whatever does it and in what order.
-
-Who does the chunks is an executor of `concurrent.futures`: this process, processes of its own, or a
-dask cluster. What it is handed is a `Job`: some chunks, done in turn until they took long enough.
 """
 
 from __future__ import annotations
 
-import gc
+import json
 import logging
 import multiprocessing
 import os
 import signal
 import threading
-import time
+import traceback
 import warnings
-from collections import Counter, deque
-from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from .. import _checks
+from .. import _checks, output
 from .._values import pd
 from ..output import shown
-from ..threads import core_count, in_browser
-from .log import Chunk, Job, Log, Report, Work, by_number, decode, job_of, read_lines, versions
+from ..threads import core_count, in_browser, limited_blas
+from .log import Log, read_lines
 
 __all__ = ["CampaignError", "all_cores", "read", "run"]
 
 KIND = "sweep"  # of its log
+Chunk = dict[str, Any]
+Work = Callable[[Chunk, np.random.SeedSequence], "pd.DataFrame"]
 
 
 class CampaignError(RuntimeError):
     """A sweep that could not be finished; what it has done is in its file."""
+
+
+@cache
+def versions() -> dict[str, str | None]:
+    """What the bits of a result hang on."""
+    return output.versions("numpy", "scipy")
 
 
 def run(
@@ -62,11 +70,9 @@ def run(
     ----------
     work : callable
         ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
-        always and a new one each time; a function at the top level of a module. `chunk` is a dict,
-        `seed` a SeedSequence.
+        always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
     chunks : iterable of dict
-        What may be written as JSON. Each costs 0.1 to 0.3 ms beside the work, so let them take 5 ms
-        or more; short ones are handed out, and their tables written, many at a time.
+        What may be written as JSON. Handing one out takes a millisecond, or ten on a cluster.
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
@@ -75,10 +81,8 @@ def run(
         Address of a `dask.distributed` scheduler such as ``tcp://node1:8786``, whose workers have
         the same weberwhisk, NumPy and SciPy.
     out : path, optional
-        A file to stream into, JSON lines. Where it holds part of the same sweep, the rest is done:
-        same name of the work, chunks, seed and versions (not its source: a work that was mended may
-        go on). `read` reads it at any time. What is in it is not computed again; of short chunks
-        up to a quarter of a second's, on a cluster up to a few seconds', are on their way to it.
+        A file to stream into, JSON lines. Where it holds part of the same sweep (work, chunks, seed
+        and versions), the rest is done. `read` reads it at any time.
     title : str
         Shown beside the progress bar.
     progress : callable, optional
@@ -95,8 +99,7 @@ def run(
     ValueError
         For what cannot be asked, a file of another sweep, or a cluster that cannot be reached.
     CampaignError
-        When a chunk raises an exception or has killed its worker three times, naming the chunk; and
-        when all workers are lost.
+        When a chunk raises an exception, naming the chunk, or workers are lost.
 
     Examples
     --------
@@ -110,7 +113,7 @@ def run(
     >>> table["closed_form_mm"].round(3).tolist()
     [0.226, 0.453]
     """
-    job, question = job_of(work, chunks, seed)
+    job = Job.of(work, chunks, seed)
     _checks.whole("workers", workers, "write 2")
     if workers > 1 and in_browser():
         warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
@@ -120,25 +123,30 @@ def run(
             f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."
         )
     with ExitStack() as opened:
-        log = None if out is None else Log(out, KIND, question, {"title": title})
-        sweep = _Sweep(job, log and opened.enter_context(log))
-        if sweep.queue:
-            done = len(sweep.lines)
-            if progress is None:
-                progress = opened.enter_context(shown(title or "Sweep", len(job.chunks), done=done))
-            else:
-                progress(done)
-            try:
-                executor = Workers()
-                if scheduler is not None:
-                    executor = Cluster(scheduler)
-                elif workers > 1:
-                    executor = Processes(min(workers, len(sweep.queue)))
-                with closing(executor):
-                    sweep.finish(executor, progress)
-            except _Lost as error:
-                raise CampaignError(f"{error}{sweep.kept}") from None
-        return decode(sweep.lines)
+        log = None
+        if out is not None:
+            log = opened.enter_context(Log(out, KIND, job.question, {"title": title}))
+        lines = _by_number(log.lines if log else [], len(job.chunks))
+        missing = [number for number in range(len(job.chunks)) if number not in lines]
+        if missing and progress is None:
+            bar = shown(title or "Sweep", len(job.chunks), done=len(lines))
+            progress = opened.enter_context(bar)
+        elif progress is not None and lines and missing:
+            progress(len(lines))
+        try:
+            with closing(_done(job, missing, workers, scheduler)) as done:
+                for number, line in done:
+                    if log is not None:
+                        log.append(line)
+                    lines[number] = line
+                    assert progress is not None
+                    progress(1)
+        except CampaignError as error:
+            if log is not None:
+                kept = f" {len(lines)} chunks are done and kept in {str(log.path)!r}."
+                error.args = (f"{error}{kept}",)
+            raise
+        return _decoded(lines)
 
 
 def all_cores(workers: int | None, scheduler: str | None) -> int:
@@ -151,9 +159,7 @@ def all_cores(workers: int | None, scheduler: str | None) -> int:
     """
     if workers is not None:
         return workers
-    if scheduler is not None:
-        return 1
-    return core_count()
+    return core_count() if scheduler is None else 1
 
 
 def read(path: str | os.PathLike[str]) -> pd.DataFrame:
@@ -166,277 +172,182 @@ def read(path: str | os.PathLike[str]) -> pd.DataFrame:
     ValueError
         If the file is no sweep's.
     """
-    return decode(by_number(read_lines(path, KIND)))
+    return _decoded(_by_number(read_lines(path, KIND)))
 
 
-def batch_size(waiting: int, takers: int, seconds: float, each: float, least: float = 0.1) -> int:
-    """How many of the chunks that wait one of several workers should take.
-
-    So many seconds' at so many each, a thousand at most; less at the end, so that all end together,
-    but no less than what takes 0.1 s.
-    """
-    within, few = (max(1, min(int(s / max(each, 1e-6)), 1000)) for s in (seconds, least))
-    return min(within, max(-(-waiting // (2 * takers)), few))
+# -- one chunk -----------------------------------------------------------------------------------
 
 
-class _Sweep:
-    """What is to be done, what has been, and what has killed workers.
+@dataclass(frozen=True)
+class Job:
+    """What is done with each of the chunks, and the root of their seeds."""
 
-    When a worker dies, one of the chunks that were under way may have killed it. Each is then done
-    with nothing beside it, so that there is no doubt the next time.
-    """
+    work: Work
+    chunks: Sequence[Chunk]
+    entropy: int | Sequence[int]
+    spawn_key: tuple[int, ...]
 
-    def __init__(self, job: Job, log: Log | None) -> None:
-        self.job, self._log = job, log
-        self.lines = {} if log is None else by_number(log.lines)
-        strange = self.lines.keys() - job.chunks.keys()
-        if log is not None and strange:
+    @classmethod
+    def of(cls, work: Work, chunks: Iterable[Chunk], seed: int | np.random.SeedSequence) -> Job:
+        """As asked for, or refused."""
+        module, name = getattr(work, "__module__", None), getattr(work, "__qualname__", None)
+        found: Any = None
+        with suppress(AttributeError):
+            found = attrgetter(name)(import_module(module)) if module and name else None
+        if found is None or found is not work:
             raise ValueError(
-                f"{str(log.path)!r} has a line for chunk {min(strange)} of {len(job.chunks)}; it "
-                "was changed by hand: name another file, or remove this one."
+                f"work must be a function at the top level of a module, got {work!r}; move it "
+                "there, and what it needs to know into the chunks."
             )
-        self.queue = deque(number for number in job.chunks if number not in self.lines)
-        self._suspects: set[int] = set()
-        self._deaths: Counter[int] = Counter()
-        self._failure, self._trace = "", ""
-        self._each = float("inf")  # seconds that a chunk takes, before one is done
-
-    def finish(self, executor: Workers, advance: Callable[[float], None]) -> None:
-        """Hand out and write until all is done; a failure waits for what is under way."""
-        held: dict[Future[Report], list[int]] = {}
-        lost: list[int] = []
-        while held or lost or (self.queue and not self._failure):
-            if lost and not held:
-                executor.restart()
-                self._blame(lost, executor.trials)
-                lost = []
-            while len(held) < executor.slots and not (lost or self._failure):
-                if not (numbers := self._next(executor, bool(held))):
-                    break
-                held[executor.submit(self.job.only(numbers))] = numbers
-            done = wait(held, timeout=1.0, return_when=FIRST_COMPLETED).done
-            if held and not done:
-                executor.check()
-            for future in done:
-                numbers = held.pop(future)
-                error = CancelledError() if future.cancelled() else future.exception()
-                if error is None:
-                    advance(self._keep(future.result()))
-                elif executor.died(error):
-                    lost += numbers
-        if self._failure:
-            wrong = CampaignError(self._failure + self.kept)
-            if self._trace:
-                wrong.add_note(self._trace)
-            raise wrong
-
-    def _next(self, executor: Workers, busy: bool) -> list[int]:
-        """Chunks for one worker, from the left of the queue; those that may kill are done alone."""
-        if self._suspects:
-            return [self.queue.popleft()] if self.queue and not busy else []
-        size = batch_size(len(self.queue), executor.slots, executor.seconds, self._each)
-        return [self.queue.popleft() for _ in range(min(size, len(self.queue)))]
-
-    def _keep(self, report: Report) -> int:
-        """Write what was done, once; returns how many chunks were new."""
-        new = {number: line for number, line in report.lines.items() if number not in self.lines}
-        if self._log is not None:
-            self._log.append(*new.values())
-        self.lines |= new
-        self._suspects -= new.keys()
-        self.queue.extendleft(reversed(report.back))
-        if report.ended:
-            self._each = report.each
-        if report.failure and not self._failure:
-            number, words, self._trace = report.failure
-            self._failure = f"chunk {number} {self.job.chunks[number]} failed: {words}"
-        return len(new)
-
-    def _blame(self, lost: list[int], trials: int) -> None:
-        """Who may have killed the worker; who has been alone with it so often is given up."""
-        self.queue.extendleft(sorted(lost, reverse=True))
-        if len(lost) == 1 and (trials > 1 or lost[0] in self._suspects):
-            self._deaths[lost[0]] += 1
-            if self._deaths[lost[0]] >= trials:
-                times = f"{trials} times" if trials > 1 else "several times"
-                self._failure = (
-                    f"chunk {lost[0]} {self.job.chunks[lost[0]]} has killed its worker {times}, as "
-                    "want of memory does."
-                )
-        self._suspects |= {*lost}
+        plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]
+        if not plain:
+            raise ValueError("there are no chunks; give one dict or more.")
+        if isinstance(seed, bool) or not (
+            isinstance(seed, np.random.SeedSequence)
+            or (isinstance(seed, int | np.integer) and seed >= 0)
+        ):
+            raise ValueError(
+                f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is "
+                "resumed must find the same seeds again: write 1, say."
+            )
+        root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        entropy = np.asarray(root.entropy, dtype=object).tolist()
+        return cls(work, plain, entropy, tuple(int(k) for k in root.spawn_key))
 
     @property
-    def kept(self) -> str:
-        """Where what was done is, in words."""
-        if self._log is None:
-            return ""
-        return f" {len(self.lines)} chunks are done and kept in {str(self._log.path)!r}."
+    def question(self) -> dict[str, Any]:
+        """What its file says was asked."""
+        return {
+            "work": f"{self.work.__module__}:{self.work.__qualname__}",
+            "seed": {"entropy": self.entropy, "spawn_key": list(self.spawn_key)},
+            "chunks": list(self.chunks), "versions": versions(),
+        }  # fmt: skip
+
+    def task(self, number: int) -> tuple[Any, ...]:
+        """What `_line` takes."""
+        seed = np.random.SeedSequence(self.entropy, spawn_key=(*self.spawn_key, number))
+        return self.work, number, self.chunks[number], seed, versions()
 
 
-class _Lost(Exception):
-    """All workers have gone, or none begins."""
+def _plain(number: int, chunk: Chunk) -> Chunk:
+    """A chunk as JSON has it, so that a resumed sweep works on the very same one."""
+    try:
+        if not isinstance(chunk, dict):
+            raise TypeError
+        return dict(json.loads(json.dumps(chunk, allow_nan=False)))
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"chunk {number} must be a dict of plain finite numbers, text, lists and dicts, "
+            f"got {chunk!r}; write arrays as lists."
+        ) from None
 
 
-class _Mismatch(Exception):
-    """A worker with other versions than this process."""
+def _line(
+    work: Work, number: int, chunk: Chunk, seed: np.random.SeedSequence, wanted: dict[str, Any]
+) -> str:
+    """The table of a chunk as one line of JSON, every number to its last bit."""
+    if versions() != wanted:
+        raise CampaignError(f"a worker has {versions()}, not {wanted}.")
+    try:
+        with limited_blas():
+            table = work(dict(chunk), seed)
+        if not isinstance(table, pd.DataFrame):
+            raise TypeError(f"work must return a DataFrame, got {type(table).__name__}")
+        if not table.columns.is_unique or not all(isinstance(name, str) for name in table):
+            raise TypeError(f"work must return columns with different names, got {[*table]}")
+        columns = {}
+        for name, column in table.items():
+            if isinstance(column.dtype, np.dtype) and column.dtype.kind in "biuf":
+                columns[name] = [column.dtype.name, column.tolist()]
+                continue
+            columns[name] = ["text", column.astype(object).where(column.notna(), None).tolist()]
+            if not all(value is None or isinstance(value, str) for value in columns[name][1]):
+                raise TypeError(
+                    f"work must return numbers, booleans or text, got a column {name!r} of "
+                    f"{column.dtype}"
+                )
+        return json.dumps({"chunk": number, "rows": len(table), "columns": columns})
+    except Exception as error:
+        wrong = CampaignError(f"chunk {number} {chunk} failed: {type(error).__name__}: {error}.")
+        wrong.add_note("".join(traceback.format_exception(error)))
+        raise wrong from None
 
 
-class Workers:
-    """Who does batches of chunks: an executor with what the loop must know of it.
-
-    `seconds` of work in a batch; `slots`, batches that are under way at most; `trials`, deaths of
-    workers on one chunk alone, before it is given up. This process, by itself, is the plainest.
-    """
-
-    seconds: float = 0.25
-    slots: int = 1
-    trials: int = 1
-
-    def submit(self, job: Job) -> Future[Report]:
-        """Do the chunks of a job, or some of them."""
-        future: Future[Report] = Future()
-        future.set_result(job.do(list(job.chunks), self.seconds))
-        return future
-
-    def died(self, error: BaseException) -> bool:
-        """Whether an exception of a batch says that its worker has died."""
-        return False
-
-    def restart(self) -> None:
-        """Have other workers, where one has died."""
-
-    def check(self) -> None:
-        """Look whether anybody is there, where no batch has ended for a second."""
-
-    def close(self) -> None:
-        """Stop, whatever is being done."""
+def _by_number(lines: Sequence[str], count: float = np.inf) -> dict[int, str]:
+    """Lines of chunks by their number."""
+    found = {int(json.loads(line)["chunk"]): line for line in lines}
+    if found and max(found) >= count:
+        raise ValueError(
+            f"the file has a line for chunk {max(found)} of {count:g}: it was changed by hand; "
+            "name another file, or remove this one."
+        )
+    return found
 
 
-class Processes(Workers):
-    """Processes of this machine; when one dies all are replaced."""
+def _decoded(lines: dict[int, str]) -> pd.DataFrame:
+    """The tables of all chunks in one, in the order of the chunks."""
+    tables = [json.loads(line) for _, line in sorted(lines.items())]
+    tables = [table for table in tables if table["rows"]] or tables[:1]
+    if len({tuple(table["columns"]) for table in tables}) > 1:
+        raise ValueError("chunks returned different columns; let work return the same ones always.")
+    columns: dict[str, Any] = {}
+    for name in tables[0]["columns"] if tables else ():
+        parts = [table["columns"][name] for table in tables]
+        if any(kind == "text" for kind, _ in parts):
+            columns[name] = [value for _, values in parts for value in values]
+        else:
+            columns[name] = np.concatenate([np.array(values, kind) for kind, values in parts])
+    return pd.DataFrame(columns)
 
-    # What a worker holds so that it need not wait, and chunks that end are in the file soon.
-    seconds, trials = 0.3, 3
 
-    def __init__(self, workers: int) -> None:
-        self._workers = workers
-        self.slots = 2 * workers
-        self._start()
+# -- who does them -------------------------------------------------------------------------------
 
-    def _start(self) -> None:
-        from concurrent.futures import ProcessPoolExecutor  # a browser's Python lacks it
 
-        # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(self._workers, context, _begin)
+def _done(
+    job: Job, numbers: Sequence[int], workers: int, scheduler: str | None
+) -> Generator[tuple[int, str], None, None]:
+    """Number and line of each chunk, as they are done."""
+    if scheduler is None and (workers == 1 or len(numbers) < 2):
+        for number in numbers:
+            yield number, _line(*job.task(number))
+        return
+    pool = _processes(min(workers, len(numbers))) if scheduler is None else _cluster(scheduler)
+    with pool as (executor, check):
         try:
-            self._pool.submit(os.getpid).result()
+            futures = {executor.submit(_line, *job.task(number)): number for number in numbers}
+            left: set[Future[str]] = set(futures)
+            while left:
+                ended, left = wait(left, timeout=1.0, return_when=FIRST_COMPLETED)
+                failed = [future for future in ended if future.exception() is not None]
+                for future in ended - set(failed):
+                    yield futures[future], future.result()
+                for future in failed:
+                    future.result()
+                if left and not ended:
+                    check()
         except BrokenExecutor:
-            raise _Lost(
-                "workers end as soon as they start, and what they printed says why; a script that "
-                'starts workers needs `if __name__ == "__main__":`.'
+            raise CampaignError(
+                "a worker process was killed, as want of memory does, or could not start; a script "
+                'that starts workers needs `if __name__ == "__main__":`.'
             ) from None
 
-    def submit(self, job: Job) -> Future[Report]:
-        try:
-            return self._pool.submit(_some, job, self.seconds)
-        except BrokenExecutor as error:  # since the last look
-            future: Future[Report] = Future()
-            future.set_exception(error)
-            return future
 
-    def died(self, error: BaseException) -> bool:
-        return isinstance(error, BrokenExecutor)
+@contextmanager
+def _processes(workers: int) -> Iterator[tuple[Executor, Callable[[], None]]]:
+    """Processes of this machine, which end however this ends."""
+    from concurrent.futures import ProcessPoolExecutor  # a browser's Python lacks it
 
-    def restart(self) -> None:
-        self.close()
-        self._start()
-
-    def close(self) -> None:
-        processes = list((getattr(self._pool, "_processes", None) or {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
+    # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
+    try:
+        yield pool, lambda: None
+    finally:
+        processes = list((getattr(pool, "_processes", None) or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
         for process in processes:
             process.join()
-
-
-class Cluster(Workers):
-    """The workers of a dask scheduler, whoever they are at the time.
-
-    The scheduler gives the task of a worker that dies to another one. After some deaths it gives up
-    the tasks that were waiting there too, so a chunk is said to kill only when it has had the whole
-    cluster to itself. `connect` is how many seconds it may take to reach the scheduler, and
-    `patience` how many without any worker are waited before the sweep is given up.
-    """
-
-    seconds, trials = 1.5, 1  # the cluster's own cost is some ten milliseconds a task
-
-    def __init__(self, address: str, patience: float = 300.0, connect: float = 15.0) -> None:
-        try:
-            from distributed import Client
-        except ImportError:
-            raise ValueError(
-                "a scheduler needs dask.distributed, which is not installed; write "
-                "pip install 'weberwhisk[cluster]'."
-            ) from None
-        # What it has to say of a lost connection is said here, in a sentence.
-        self._silent = logging.getLogger("distributed")
-        self._level = self._silent.level
-        self._silent.setLevel(logging.CRITICAL + 1)
-        # A client that has failed is closed when it is collected: while another starts, for ever.
-        gc.collect()
-        try:
-            self._client: Any = Client(address, set_as_default=False, timeout=connect)
-        except (OSError, ValueError, TimeoutError) as error:
-            self._silent.setLevel(self._level)
-            raise ValueError(
-                f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
-                "with `dask scheduler`, and give the address that it prints."
-            ) from error
-        self._pool = self._client.get_executor(pure=False, retries=0)
-        self._patience, self._deadline = patience, time.monotonic() + patience
-        self._wanted = versions()
-        self.slots = self._count()
-
-    def _count(self) -> int:
-        return 2 * max(sum(self._client.nthreads().values()), 1)
-
-    def submit(self, job: Job) -> Future[Report]:
-        future: Future[Report] = self._pool.submit(_some, job, 2 * self.seconds, self._wanted)
-        return future
-
-    def died(self, error: BaseException) -> bool:
-        from distributed import KilledWorker
-
-        if isinstance(error, KilledWorker):
-            return True
-        self.check()
-        words = f"a task ended with {type(error).__name__}: {' '.join(str(error).split())}"
-        raise self._lost(str(error) if isinstance(error, _Mismatch) else words)
-
-    def check(self) -> None:
-        """Refuse to wait for a scheduler that has gone, or where there are no workers."""
-        try:
-            if self._client.status != "running":
-                raise OSError
-            self.slots, anybody = self._count(), bool(self._client.nthreads())
-        except (OSError, TimeoutError):
-            raise self._lost("the scheduler does not answer") from None
-        if anybody:
-            self._deadline = time.monotonic() + self._patience
-        elif time.monotonic() > self._deadline:
-            raise self._lost(f"it has had no workers for {self._patience:g} s")
-
-    def _lost(self, why: str) -> _Lost:
-        return _Lost(f"the cluster was lost: {why}.")
-
-    def close(self) -> None:
-        with suppress(Exception):  # it may have gone
-            self._pool.shutdown(wait=False, cancel_futures=True)
-        with suppress(Exception):
-            self._client.close(timeout=2.0)
-        self._silent.setLevel(self._level)
 
 
 def _begin() -> None:
@@ -452,8 +363,45 @@ def _begin() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def _some(job: Job, seconds: float, wanted: dict[str, str | None] | None = None) -> Report:
-    """A worker's share: its chunks, until they are done or have taken long enough."""
-    if wanted is not None and versions() != wanted:
-        raise _Mismatch(f"a worker has {versions()}, not {wanted}")
-    return job.do(list(job.chunks), seconds)
+@contextmanager
+def _cluster(address: str, timeout: float = 15.0) -> Iterator[tuple[Executor, Callable[[], None]]]:
+    """The workers of a dask scheduler, which gives the tasks of one that dies to another."""
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise ValueError(
+            "a scheduler needs dask.distributed, which is not installed; write "
+            "pip install 'weberwhisk[cluster]'."
+        ) from None
+    # What it has to say of a lost connection is said here, in a sentence.
+    silent = logging.getLogger("distributed")
+    level = silent.level
+    silent.setLevel(logging.CRITICAL + 1)
+    try:
+        client: Any = Client(address, set_as_default=False, timeout=timeout)
+    except (OSError, ValueError, TimeoutError) as error:
+        silent.setLevel(level)
+        raise ValueError(
+            f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
+            "with `dask scheduler`, and give the address that it prints."
+        ) from error
+
+    def check() -> None:
+        if client.status != "running":
+            raise CampaignError("the cluster was lost: the scheduler does not answer.")
+
+    pool = client.get_executor(pure=False, retries=0)
+    try:
+        yield pool, check
+    except KilledWorker as error:
+        raise CampaignError(f"a chunk has killed its workers: {error}") from None
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, CampaignError):
+            raise
+        raise CampaignError(f"the cluster was lost: {' '.join(str(error).split())}.") from None
+    finally:
+        with suppress(Exception):  # it may have gone
+            pool.shutdown(wait=False, cancel_futures=True)
+        with suppress(Exception):
+            client.close(timeout=2.0)
+        silent.setLevel(level)

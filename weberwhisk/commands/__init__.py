@@ -82,7 +82,7 @@ _SHARED: dict[str, Any] = {
     "cue": Annotated[
         str | None,
         "What tells of distance: compliance, force-map, three-forces (transverse force too), "
-        "moment (at a known angle), vibration, lateral-slip, space-map, balance-of-moments, "
+        "moment (at a known angle), vibration, space-map, balance-of-moments, "
         "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
         "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
         "cannot be fitted by the last two, of events, nor by those of angles alone.  "
@@ -204,7 +204,6 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
     "two-whiskers": lambda whisker: ww.cues.TwoWhiskers(),
     "contact-and-detachment": lambda whisker: ww.cues.ContactAndDetachment(),
     "vibration": lambda whisker: ww.cues.Vibration(3),
-    "lateral-slip": lambda whisker: ww.cues.LateralSlip(),
     "space-map": lambda whisker: ww.cues.SpaceMap(),
     "balance-of-moments": lambda whisker: ww.cues.BalanceOfMoments(),
     "felt-effort": lambda whisker: ww.cues.BalanceOfMoments(effort=None),

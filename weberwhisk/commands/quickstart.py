@@ -10,13 +10,15 @@ import numpy as np
 
 import weberwhisk as ww
 
-from .. import _checks, surveys
+from .. import _checks
+from .._values import pd
 from ..behaviour import load_rat_auditory
 from ..cli import progress
 from ..jnd import weber_propagation
+from ..jnd_curves import linear_surface
 from ..output import Run, atomic_write, to_json
 from . import command, describe, enough_draws, finish, whisker_line
-from .figure import light_taps, tapered_and_not
+from .whiskers import curve_in_steps
 
 
 @command
@@ -63,10 +65,23 @@ def curves(
         light_taps(whisker, k, method, draws, seed, as_json) for method in ("emcee", "quadrature")
     )
     checks = [curve["posterior"].to_numpy() for curve in exact.values()]
-    table = tapered_and_not(found)
+    tables = {name: curve.table for name, curve in found.items()}
+    table = pd.concat(tables, names=["whisker"]).reset_index()
     run.table("jnd_curve", table.assign(posterior_by_quadrature_mm=np.concatenate(checks) * 1e3))
     run.figure("jnd_curve", ww.figures.jnd_lines(found, length=whisker.length, weber_fraction=k))
     return {name: _compared(curve, exact[name], whisker, k) for name, curve in found.items()}
+
+
+def light_taps(
+    whisker: ww.Whisker, k: float, method: str, draws: int, seed: int, as_json: bool = False
+) -> dict[str, ww.JNDCurve]:
+    """Figure 4a's posteriors, of a whisker and of a cylinder as long, at ten places."""
+    places, found = np.linspace(0.05, 0.95, 10) * whisker.length, {}
+    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
+        options = (np.array([]), method, "d'=1", draws, seed, as_json, f"{method}, {name}")
+        found[name] = curve_in_steps(observer, places, *options)
+    return found
 
 
 def _compared(
@@ -94,7 +109,7 @@ def jnd_surface(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
     """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
-    table = surveys.surface(k, k * 1e-9, whisker=whisker)
+    table = linear_surface(moment_dominated(whisker, k))
     run.table("jnd_surface", table)
     # A twentieth or a hundredth of the noise makes so thin a ridge that at 0.3 L and 10 degrees
     # most quadratures were flagged; with a tenth up to four in ten at the worst of these contacts.
@@ -268,7 +283,7 @@ def _of_surface(surface: dict[str, Any]) -> str:
         "calls distance known exactly, which no posterior does; do not take the dark band about "
         "it for resolution. It lies beyond the contact angle of 90° (dashed), where the paper's "
         "figure ends; with noise in the axial force alone there is one within it, where the moment "
-        "stops changing with angle (weberwhisk figure weber-2d). "
+        "stops changing with angle (python analyses/gallery/make.py weber-2d). "
         f"Of those posteriors up to {bad:.0%} at one place are flagged as not reliable, and ± is "
         "the scatter over readings only, so read the dots as a rough check."
     )

@@ -42,11 +42,11 @@ from .columns import (
     values_of,
 )
 from .signals import tracked_signals
-from .trackers import read_tracking, simulate_tracking
+from .trackers import read_tracking
 
 __all__ = [
     "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking",
-    "simulate_tracking", "tracked_signals",
+    "tracked_signals",
 ]  # fmt: skip
 
 #: What `locate` adds to a table.

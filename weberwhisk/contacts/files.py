@@ -100,7 +100,7 @@ def angle_and_curvature(x: Any, y: Any) -> tuple[float, float]:
     if len(z) < 3:
         return np.nan, np.nan
     arc = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
-    bend, start, _ = np.polyfit(arc, z, 2)
+    bend, start, _ = np.polyfit(arc, z, 2, full=True)[0]  # which does not warn of points in one
     return float(np.degrees(np.angle(start))), float(
         np.angle(1 + 2 * bend * arc[-1] / start) / arc[-1]
     )
@@ -163,27 +163,10 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
 
 
 def points(path: Path) -> pd.DataFrame:
-    """A row a point: DeepLabCut's table, whose first rows say bodyparts, or a table of points."""
+    """A row a point: of DeepLabCut's table, whose first rows say coords, or a table of points."""
     raw, _ = load_table(path, "point")
-    first = raw.iloc[:3, 0].astype(str).tolist() if raw.shape[1] else []
-    if raw.shape[1] > 3 and "coords" in first:
-        rows = first.index("coords") + 1
-        header = dict(zip(first[:rows], raw.iloc[:rows, 1:].to_numpy(dtype=str), strict=True))
-        cells = raw.iloc[rows:, 1:].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-        whisker = pd.factorize(header.get("individuals", np.zeros(cells.shape[1])))[0]
-        parts = []
-        for i in range(whisker.max() + 1):
-            axes = {
-                name: np.flatnonzero((whisker == i) & (header["coords"] == name))
-                for name in ("x", "y", "likelihood")
-            }
-            if not len(axes["x"]) or len(axes["x"]) != len(axes["y"]):
-                raise ValueError(f"{path.name}: its {len(whisker)} columns have no x and y each.")
-            frame = np.repeat(raw.iloc[rows:, 0].to_numpy(), len(axes["x"]))
-            part = {"frame": frame, "whisker": i}
-            part |= {n: cells[:, at].ravel() for n, at in axes.items() if len(at) == len(axes["x"])}
-            parts.append(pd.DataFrame(part))
-        return pd.concat(parts, ignore_index=True)
+    if raw.shape[1] > 3 and "coords" in raw.iloc[:3, 0].astype(str).tolist():
+        return poses(path, "dlc")
     if {"frame", "x", "y"} <= set(raw.columns):
         return raw
     raise ValueError(

@@ -4,13 +4,13 @@ from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
 from .force_map import ForceMap, SpaceMap
 from .protocol import Cue, Fused
-from .taps import Compliance, LateralSlip, Vibration
+from .taps import Compliance, Vibration
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [
     "AngleSideAngle", "BalanceOfMoments", "ComparativeLength", "Compliance",
-    "ContactAndDetachment", "Cue", "ForceMap", "Friction", "Fused", "LateralSlip", "SpaceMap",
+    "ContactAndDetachment", "Cue", "ForceMap", "Friction", "Fused", "SpaceMap",
     "TwoWhiskers", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness",
     "Vibration", "VibrissaLength",
 ]  # fmt: skip

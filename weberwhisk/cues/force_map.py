@@ -13,7 +13,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, positive_number, refuse_hinge
-from .._values import Array, Codes, renamed_arguments
+from .._values import Array, Codes
 from ..mechanics import Profile, closed_form, rest_angle
 from ..mechanics.contact import Outcome
 from ..mechanics.curved_surface import SIX
@@ -71,7 +71,6 @@ class ForceMap(Cue):
     _: KW_ONLY
     deflection_angle: float | None = None
 
-    @renamed_arguments(signals="signal_names")
     def __init__(
         self, signal_names: Sequence[str] = SIGNALS[:2], *, deflection_angle: float | None = None
     ) -> None:
@@ -381,7 +380,6 @@ class SpaceMap(Cue):
     signal_names: tuple[str, ...] = (*SIGNALS, *DIRECTIONS)
     roll: float = 0.0
 
-    @renamed_arguments(signals="signal_names")
     def __init__(
         self, signal_names: Sequence[str] = (*SIGNALS, *DIRECTIONS), *, roll: float = 0.0
     ) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from .._checks import numbers, refuse_hinge, shown
-from .._values import Array, Codes, Value, renamed_names
+from .._values import Array, Codes, Value
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
@@ -34,7 +34,6 @@ from ..whisker import Whisker
 
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Encoded = tuple[Array, Codes]
-__getattr__ = renamed_names(__name__, {"Felt": "Encoded"})
 #: Unknowns that may be of either sign, rad and 1/m.
 SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
 
@@ -375,10 +374,3 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
 def _same(encoded: Encoded, last: Array) -> Encoded:
     """What is encoded whatever the last unknown is."""
     return encoded
-
-
-def _inserted(
-    cue: Cue, index: int, whisker: Whisker, contact: Array, model: str | None, last: Array
-) -> Encoded:
-    """What a cue encodes to which the fusion's last unknown is one in between."""
-    return cue.signals(whisker, np.insert(contact, index, last, axis=-1), model=model)

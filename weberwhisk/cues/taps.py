@@ -1,7 +1,4 @@
-"""What a tap tells: how fast its moment grows (§2e), and the vibration that it leaves (§2d).
-
-The moment's growth with slip out of the plane of rotation too, where it has two dimensions.
-"""
+"""What a tap tells: how fast its moment grows (§2e), and the vibration that it leaves (§2d)."""
 
 from __future__ import annotations
 
@@ -13,14 +10,14 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative_number, positive_number, whole
-from .._values import Array, Flags
+from .._checks import non_negative_number, positive_number, whole
+from .._values import Array
 from ..mechanics import closed_form, modes
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
-from ..receptors import GeneralisedWeber, Joint, Weber
+from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Cue, Encoded, reach_at, readings, straight
+from .protocol import Cue, Encoded, reach_at, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,153 +173,6 @@ class Compliance(Cue):
         bending = np.asarray(velocity) - forward.hinge_compliance * rate
         r = closed_form.distance_from_moment(forward.base, rate, bending)
         return np.where((r > 0) & (r <= whisker.length * (1 + 1e-12)), r, np.nan)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LateralSlip(Cue):
-    """Radial distance and the tilt of a surface, from the moment rate's size and direction.
-
-    A whisker that taps a surface whose normal is tilted by τ out of the plane of rotation slips
-    sideways along it. The contact moves across the surface by rθ̇ cos τ; without friction the
-    whisker bends along the normal, with friction of angle φ by φ less:
-
-        |Ṁ| = Cθ̇ (1/r − 1/A) cos τ / cos φ,  direction τ ∓ φ out of the plane,
-
-    and where |τ| < φ it sticks, the direction is 0 and |Ṁ| that of equation (2.1). A straight
-    round whisker bends in the plane of the force, so that the small-angle form (2.3) holds there.
-
-    Parameters
-    ----------
-    angular_velocity : float
-        θ̇, rad/s.
-    friction_angle : float
-        φ, arctan of the coefficient of friction, rad.
-    steepest : float
-        The prior of the tilt is flat to this far on either side, rad.
-
-    Raises
-    ------
-    ValueError
-        For a velocity that is not positive, a friction angle below 0 or above the steepest tilt,
-        a steepest tilt that is not between 0 and π/2.
-
-    Notes
-    -----
-    The direction of bending is which receptors around the follicle fire: its noise is an angle,
-    whatever the size. Noise of k|M| in both components of the moment is k in that angle. The idea
-    of tapping with lateral slip is Solomon & Hartmann's (2008, IEEE Trans. Robot. 24, 1157, the
-    paper's [31]); this light-tap form is derived here.
-
-    Examples
-    --------
-    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
-    >>> cue = LateralSlip(friction_angle=0.2)
-    >>> signals, outcome = cue.signals(w, np.array([20e-3, 0.7]))
-    >>> contact, outcome = cue.contact(w, signals)
-    >>> contact.round(9)
-    array([0.02, 0.7 ])
-    """
-
-    signal_names = ("moment_rate", "moment_direction")
-    unknowns = ("radial_distance", "surface_tilt")
-
-    _: KW_ONLY
-    angular_velocity: float = 1.0
-    friction_angle: float = 0.0
-    steepest: float = float(np.radians(75.0))
-
-    def __post_init__(self) -> None:
-        self._set(
-            angular_velocity=positive_number(
-                "angular_velocity", self.angular_velocity, "give rad/s, such as 1"
-            ),
-            steepest=positive_number("steepest", self.steepest, "give radians, such as 1.3"),
-            friction_angle=non_negative_number(
-                "friction_angle", self.friction_angle, "give radians, 0 for no friction"
-            ),
-        )
-        if not self.friction_angle < self.steepest < np.pi / 2:
-            raise ValueError(
-                f"Angles must rise from friction_angle over steepest to a right angle, got "
-                f"{self.friction_angle:g} and {self.steepest:g} rad; write steepest=1.3, say."
-            )
-
-    def sticks(self, surface_tilt: ArrayLike) -> Flags:
-        """Where friction holds the whisker: the tilt is not sensed there, the distance is."""
-        return np.asarray(np.abs(finite("surface_tilt", surface_tilt, "give radians")) <= (
-            self.friction_angle
-        ))  # fmt: skip
-
-    def _gain(self, tilt: Array) -> Array:
-        """Moment rate over that of a surface met squarely."""
-        slip = np.maximum(np.abs(tilt), self.friction_angle)
-        return np.asarray(np.cos(slip) / np.cos(self.friction_angle))
-
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
-        """Moment rate (N m/s) and its direction (rad), (..., 2), and outcome of a contact (..., 2).
-
-        Beyond the whisker, or on a surface steeper than the steepest, it is out of reach.
-        """
-        straight(whisker)
-        contact = np.asarray(contact, dtype=float)
-        r, tilt = contact[..., 0], contact[..., 1]
-        reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
-        reached &= np.abs(tilt) <= self.steepest
-        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-        rate = closed_form.moment(whisker, np.where(reached, r, np.nan), self.angular_velocity)
-        direction = np.sign(tilt) * np.maximum(np.abs(tilt) - self.friction_angle, 0.0)
-        direction = np.where(reached, direction, np.nan)
-        return np.stack([rate * self._gain(tilt), direction], axis=-1), outcome
-
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        contact = np.asarray(contact, dtype=float)
-        r, tilt = contact[..., 0], contact[..., 1]
-        slips = ~self.sticks(tilt)
-        rate = closed_form.moment(whisker, r, self.angular_velocity)
-        slope = -whisker.compliance_constant * self.angular_velocity / r**2
-        turn = np.where(slips, -np.sin(tilt) / np.cos(self.friction_angle), 0.0)
-        rows = [[slope * self._gain(tilt), rate * turn], [np.zeros_like(r), slips.astype(float)]]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """Flat, of the tilt."""
-        return {"surface_tilt": scipy.stats.uniform(-self.steepest, 2 * self.steepest)}
-
-    def default_noise(self) -> Joint:
-        """Noise of a tenth of the moment in both of its components: k = 0.1, and 0.1 rad."""
-        return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[1, 1])
-
-    def contact(self, whisker: Whisker, signals: ArrayLike) -> Encoded:
-        """The contact that gives these signals.
-
-        Parameters
-        ----------
-        whisker : Whisker
-        signals : array, shape (..., 2)
-            Moment rate, N m/s, and direction, rad.
-
-        Returns
-        -------
-        contact : array, shape (..., 2)
-            r (m) and τ (rad); NaN for the tilt where the whisker sticks, and for both where
-            there is no such contact.
-        outcome : array of int
-            `HELD`; `STUCK` where only the distance can be told; `OUT_OF_REACH` for a moment too
-            small for the whisker and a direction too far out of the plane.
-        """
-        wanted = readings("signals", signals, 2)
-        rate, direction = wanted[..., 0], wanted[..., 1]
-        tilt = np.sign(direction) * (np.abs(direction) + self.friction_angle)
-        r = closed_form.distance_from_moment(
-            whisker, rate / self._gain(tilt), self.angular_velocity
-        )
-        good = (rate > 0) & (r <= whisker.length) & (np.abs(tilt) <= self.steepest)
-        stuck = good & (direction == 0) & (self.friction_angle > 0)
-        outcome = np.where(good, Outcome.HELD, Outcome.OUT_OF_REACH)
-        contact = np.stack(
-            [np.where(good, r, np.nan), np.where(good & ~stuck, tilt, np.nan)], axis=-1
-        )
-        return contact, np.where(stuck, Outcome.STUCK, outcome).astype(np.int8)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
-from .._values import Array, Flags, renamed_arguments, renamed_attribute
+from .._values import Array, Flags
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
@@ -427,9 +427,7 @@ class UnknownStiffness(_Wrapped):
     spread: float
     soft_signals: tuple[str, ...]
     unknown: ClassVar[str] = "stiffness"
-    soft = renamed_attribute("UnknownStiffness", "soft", "soft_signals")
 
-    @renamed_arguments(signals="soft_signals")
     def __init__(
         self, cue: Cue, spread: float = 0.42, soft_signals: Sequence[str] | None = None
     ) -> None:

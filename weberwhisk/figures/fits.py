@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,6 @@ from .._values import Array, pd
 from .style import (
     COLOURS,
     DOUBLE,
-    LINES,
     SINGLE,
     axes_or_new,
     bars,
@@ -384,50 +383,3 @@ def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
     ax.set_yticks(y, [drawable(name, 40) for name in table.index])
     ax.set(xlabel="Nats below the best", ylim=(-0.6, len(table) - 0.4))
     return legend_above(ax)
-
-
-@styled
-def adaptive(
-    tables: Mapping[str, pd.DataFrame], axes: Sequence[Axes] | None = None
-) -> NDArray[np.object_]:
-    """What simulated experiments know after so many trials, a line a method; returns the axes.
-
-    Parameters
-    ----------
-    tables : mapping
-        ``estimation``: rows with ``method``, ``weber_fraction`` (the truth), ``n``, ``low`` and
-        ``high``; ``discrimination``: with ``method``, ``truth``, ``n`` and ``log_bayes_factor``.
-    axes : sequence of Axes, optional
-        One for each Weber fraction, and one for the Bayes factors.
-    """
-    first, second = tables["estimation"], tables["discrimination"]
-    ks = sorted(first["weber_fraction"].unique())
-    if axes is None:
-        axes = list(open_figure(DOUBLE, 2.9).subplots(1, len(ks) + 1))
-    methods = list(dict.fromkeys(first["method"]))
-    half = (first["high"] - first["low"]) / (first["high"] + first["low"])
-    for ax, k in zip(axes, ks, strict=False):
-        for i, method in enumerate(methods):
-            own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
-            width = half[own.index].groupby(own["n"]).median()
-            ax.plot(width.index, 100 * width, **mark(i) | look(i), label=method)
-        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0, label="goal")
-        ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
-        ax.set(xlabel="Trials", ylim=(0, 100))
-    axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
-    legend_above(axes[0])
-    ax = axes[len(ks)]
-    for truth in sorted(second["truth"].unique()):
-        for method in dict.fromkeys(second["method"]):
-            own = second[(second["truth"] == truth) & (second["method"] == method)]
-            found = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"])
-            share, count = found.mean(), found.sum().to_numpy(float)
-            low, high = binomial_interval(count, found.size().to_numpy(float))
-            style = {"linestyle": LINES[truth % len(LINES)], "elinewidth": 0.8}
-            label = f"{method}, {('tapered', 'cylinder')[truth]}"
-            ends = 100 * share, 100 * low, 100 * high
-            bars(ax, share.index, ends, methods.index(method), **style, label=label)
-    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0, label="goal")
-    ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
-    legend_above(ax)
-    return np.array(list(axes), dtype=object)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, numbers, one_of, positive, positive_number, shown
-from .._values import Array, Codes, renamed_attribute
+from .._values import Array, Codes
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
@@ -372,7 +372,6 @@ class Observer:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
         return self.space.unconstrain(contact)
 
-    spread = renamed_attribute("Observer", "spread", "space.spread")
 
     def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""

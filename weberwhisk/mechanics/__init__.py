@@ -10,44 +10,40 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .._values import renamed_names
 from .contact import Bending, Choice, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import choose_model
-    from .modes import Modes, QuasiStatic, impulse_response, quasi_static, transfer
+    from .modes import Modes, impulse_response
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
-    from .profile import Sticking, rest_angle, sticking
+    from .profile import rest_angle
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
-    from .touch import Body, contour, cylinder, peg, wall
+    from .touch import Body, cylinder, peg, wall
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
     "model_choice": ("choose_model",),
     "shape": ("Parabola", "Profile", "Spiral"),
-    "profile": ("Sticking", "rest_angle", "sticking"),
+    "profile": ("rest_angle",),
     "rod": ("RodBending",),
-    "touch": ("Body", "contour", "cylinder", "peg", "wall"),
+    "touch": ("Body", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "modes": ("Modes", "QuasiStatic", "impulse_response", "quasi_static", "transfer"),
+    "modes": ("Modes", "impulse_response"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
     "Balance", "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MomentBalance",
-    "MuscleCurve", "Outcome", "Parabola", "Profile", "QuasiStatic", "RodBending", "Spiral",
-    "Sticking", "Sweep", "bend", "choose_model", "closed_form", "contour", "cylinder",
+    "MuscleCurve", "Outcome", "Parabola", "Profile", "RodBending", "Spiral",
+    "Sweep", "bend", "choose_model", "closed_form", "cylinder",
     "elastica", "flick_past", "impulse_response", "modes", "moment_balance", "peg", "press",
-    "profile", "quasi_static", "rest_angle", "rod", "signal_jacobian", "sticking", "sweep",
-    "transfer", "wall",
+    "profile", "rest_angle", "rod", "signal_jacobian", "sweep",
+    "wall",
 ]  # fmt: skip
-
-
-_renamed = renamed_names(__name__, {"Rung": "Model", "choose_rung": "choose_model"})
 
 
 def __getattr__(name: str) -> Any:
@@ -57,7 +53,7 @@ def __getattr__(name: str) -> Any:
         if name in names:
             globals()[name] = value = getattr(import_module(f".{home}", __name__), name)
             return value
-    return _renamed(name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Array, Codes, Flags, Shown, Worded, member, pd, renamed_attribute
+from .._values import Array, Codes, Flags, Shown, Worded, member, pd
 from ..whisker import Whisker
 
 
@@ -69,16 +69,15 @@ SIGNAL_UNIT = "of a signal"
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The model that each scene needs, and why: what `choose_model` returns and `press` went by.
+    """The model that each scene needs, and why: what `choose_model` returns.
 
     Attributes
     ----------
     model : Model or array of int
         The cheapest model whose bias is within the tolerance.
     error : array (..., 4)
-        Largest relative error of the moment and the two forces, estimated, by model. Infinite where
-        the estimate does not vouch for a model, 0 from the first model on that models all there is,
-        NaN where a model was not tried.
+        Largest relative error of the moment and the two forces, by model. Infinite where a model
+        finds no contact, 0 from the first model on that models all there is.
     bias : array (..., 4)
         What is judged, by model: the shift of the inferred radial distance by that error, in JNDs,
         or where no noise was named the error itself.
@@ -93,14 +92,6 @@ class Choice:
     bias: Array
     tolerance: ArrayLike
     unit: str = "JND"
-
-    @classmethod
-    def complete(cls, model: Model, tolerance: ArrayLike) -> Choice:
-        """The lowest model that models all there is, those below it not tried."""
-        off = np.where(np.arange(len(Model)) < model, np.nan, 0.0)
-        return cls(model, off, off, tolerance, SIGNAL_UNIT)
-
-    rung = renamed_attribute("Choice", "rung", "model")
 
     @property
     def why(self) -> str | NDArray[np.object_]:
@@ -120,14 +111,10 @@ def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
     if model == Model.CLOSED_FORM:
         return f"{here}, {allowed:g} allowed, and nothing is cheaper"
     below = Model(model - 1)
-    if np.isnan(bias[below]):
-        return f"{here}; nothing cheaper was tried"
     if np.isinf(bias[below]):
-        return f"{here}; {below.title} finds no contact here, or one too far off to judge"
+        return f"{here}; {below.title} finds no contact here"
     there = f"{below.title} is off by {_shown(bias[below], allowed)} {unit}"
-    if bias[below] > allowed:
-        return f"{here}; {there}, {allowed:g} allowed"
-    return f"{here}; {there}, too near the {allowed:g} allowed to be sure of an estimate"
+    return f"{here}; {there}, {allowed:g} allowed"
 
 
 def _shown(bias: float, allowed: float) -> str:
@@ -163,8 +150,6 @@ class Bending(Shown):
     error : float or array
         Estimated relative error of the signals.
     whisker : Whisker
-    choice : Choice, optional
-        How the ladder came to the model; none where the model was asked for by name.
     """
 
     _figure: ClassVar[str] = "bending"
@@ -180,12 +165,6 @@ class Bending(Shown):
     model: Model | Codes
     error: Array
     whisker: Whisker
-    choice: Choice | None = None
-
-    @property
-    def why(self) -> str | NDArray[np.object_]:
-        """Why this model, in words: one sentence, or an array of them."""
-        return "it was asked for by name" if self.choice is None else self.choice.why
 
     @property
     def outside_domain(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ from .._checks import angle, finite, one_of, positive
 from .._values import Array
 from ..whisker import Whisker
 from . import closed_form, elastica
-from .contact import TOLERANCE, Bending, Choice, FlickPast, Model
+from .contact import TOLERANCE, Bending, FlickPast, Model
 
 if TYPE_CHECKING:
     from .shape import Profile
@@ -84,7 +83,7 @@ def bend(
         bent: Bending = _STRAIGHT[name].bend(whisker, arc, load)
     else:
         bent = _module("profile").bend(whisker, arc, load, tilt, tolerance=tolerance)
-    return bent if model else replace(bent, choice=Choice.complete(Model[name.upper()], tolerance))
+    return bent
 
 
 def press(
@@ -94,10 +93,7 @@ def press(
     friction_angle: ArrayLike = 0.0,
     *,
     roll: ArrayLike = 0.0,
-    model: str | Choice | None = None,
-    tolerance: ArrayLike | None = None,
-    weber_fraction: ArrayLike | None = None,
-    cue: Any = None,
+    model: str | None = None,
 ) -> Bending:
     """Press a whisker against a point at a given radial distance and deflection angle.
 
@@ -116,22 +112,9 @@ def press(
         rad. The object is met at the height at which the resting whisker reaches that distance;
         the deflection angle is then its azimuth. Moment and forces are those in the plane of the
         push; `rod.press` has all six.
-    model : {"closed_form", "elastica", "profile", "rod"} or Choice, optional
-        The model to use, or what `choose_model` chose for these scenes. By default the cheapest
-        within `tolerance`, scene by scene; the result's ``model`` says which, and ``why`` why.
-    tolerance : float or array, optional
-        Without a Weber fraction or a cue, the largest relative error of the moment and the two
-        forces, by default 1e-9: who names no noise may do anything with the signals, compare two
-        contacts or differentiate, and expects digits. No model that leaves something out keeps to
-        1e-9 but for vanishing loads, so that the cheapest within it is the lowest that models all
-        there is, and taking that one costs nothing. A larger tolerance weighs all models.
-
-        With them, the largest bias of the inferred radial distance as a fraction of its JND, by
-        default 0.1: less than anyone who feels through that noise can notice. Signals may then jump
-        by as much from one contact to the next, and those that the cue does not feel are off by
-        whatever ``error`` says.
-    weber_fraction, cue
-        What the JND is of; see `choose_model`. Either alone is enough: the moment, and k = 0.1.
+    model : {"closed_form", "elastica", "profile", "rod"}, optional
+        The model to use. By default the cheapest that models all there is; `choose_model` says
+        which one a noisy observer needs.
 
     Returns
     -------
@@ -142,7 +125,7 @@ def press(
     Raises
     ------
     ValueError
-        As for `bend` and `choose_model`.
+        As for `bend`.
 
     Examples
     --------
@@ -150,48 +133,11 @@ def press(
     >>> b = press(w, radial_distance=[20e-3, 40e-3, 60e-3], deflection_angle=np.radians(20))
     >>> b.outcome
     array([0, 2, 4], dtype=int8)
-
-    A slightly curved whisker needs different models near the base, far out and at large angles.
-
-    >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=2.0)
-    >>> b = press(w, [8e-3, 20e-3, 40e-3], np.radians([2, 12, 14]), weber_fraction=0.1)
-    >>> b.model
-    array([0, 1, 2], dtype=int8)
-    >>> print(b.why[0])
-    the closed form is off by 0.0047 JND, 0.1 allowed, and nothing is cheaper
-    >>> print(press(w, 20e-3, 0.1).why)
-    the curved planar beam models all there is in this scene; nothing cheaper was tried
     """
     r = positive("radial_distance", radial_distance, _METRES)
     theta = angle("deflection_angle", deflection_angle, _RADIANS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
-    weighed = tolerance is not None or weber_fraction is not None or cue is not None
-    if weighed and model is not None:
-        raise ValueError(
-            "A model was forced and a tolerance, Weber fraction or cue to choose one by given, got "
-            f"model {model if isinstance(model, str) else 'a Choice'}; write one of the two."
-        )
-    accuracy = TOLERANCE
-    if weighed:
-        felt = weber_fraction is not None or cue is not None
-        if tolerance is None:
-            tolerance = 0.1
-        elif not felt:
-            accuracy = float(np.min(positive("tolerance", tolerance, "give a fraction")))
-        model = _module("model_choice").choose_model(
-            whisker,
-            r,
-            theta,
-            tilt,
-            roll=turn,
-            cue=cue,
-            weber_fraction=0.1 if felt and weber_fraction is None else weber_fraction,
-            tolerance=tolerance,
-        )
-    if isinstance(model, Choice):
-        scene = _module("scene")
-        return scene.press_chosen(whisker, r, theta, tilt, turn, model, min(accuracy, 1e-4))
     name = _model_of(whisker, model, tilt, turn)
     if name in _STRAIGHT:
         bent: Bending = _STRAIGHT[name].press(whisker, r, theta)
@@ -199,8 +145,7 @@ def press(
         bent = _module("profile").press(whisker, r, theta, tilt)
     else:
         bent = _module("scene").press_in_space(whisker, r, theta, tilt, turn)
-    chosen = None if model else Choice.complete(Model[name.upper()], TOLERANCE)
-    return replace(bent, choice=chosen)
+    return bent
 
 
 def flick_past(

@@ -8,16 +8,8 @@ part along g_θ where the deflection angle is unknown too), their ratio is
 
     bias/JND = |q · δ/s| / k:
 
-the relative error along the one direction of signals that tells of r. One signal: |δ/s|/k.
-
-A model's contact arc and force, put into the next model's equations, miss the point that the
-whisker is pressed against. One Newton step on that miss gives the next model's signals up to the
-square of the step, for a pass or two in the place of a solution. The elastica checks the closed
-form (both are formulas); one pass of the planar beam at the elastica's contact checks both for
-curvature, stiffness profile and friction; two steps of the rod at the planar beam's contact check
-all of them for what is out of the plane. Where a step is large, or leaves the stable branch or the
-whisker, it vouches for nothing, and the scene is left to the model above; the square of a smaller
-one is added to the errors, as what it may have missed.
+the relative error along the one direction of signals that tells of r. One signal: |δ/s|/k. Each
+scene is solved with every model up to the one that models all there is in it.
 
 Of an `Observer`, whose cue and noise may be any, the largest bias (JᵀWJ)⁻¹JᵀWδ over contacts all
 over the reach says which model serves it.
@@ -25,144 +17,19 @@ over the reach says which model serves it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, positive
-from .._values import Array, Codes, Flags
+from .._values import Array, Codes
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
-from . import elastica
-from .beam import follow_blocks
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
-from .equilibrium import Scenes, friction, numbers_of, signal_slopes
-from .rod import POISSON_RATIO, RodScenes
-from .scene import SceneRows, planar, straight
+from .equilibrium import Scenes, friction
+from .scene import SceneRows, press
 from .shape import Profile, Spiral
-
-#: Largest relative Newton step that is believed.
-LARGEST_STEP = 0.2
-#: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
-#: bound exceeds the error by far.
-STEPS, RESOLVED = 5, 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class Estimates:
-    """Of n scenes.
-
-    ``top`` is the lowest model that models all there is in the scene; ``signals`` (3, n) and
-    ``slopes`` (3, 2, n), their derivatives to (r, θ_d), are that model's as far as the first step
-    tells. ``misses`` (4, 3, n) are the errors of each model's signals, infinite where the step does
-    not vouch for that model and zero from the top on.
-    """
-
-    top: Codes
-    signals: Array
-    slopes: Array
-    misses: Array
-
-
-def estimate(scene: SceneRows) -> Estimates:
-    """The estimates at n scenes, in natural units."""
-    top = scene.top()
-    # Below this push, rad, signals are proportional to it, so that their relative errors stay.
-    least = 1e-6
-    nudge = np.where(scene.push < 0, -least, least)
-    push = np.where(np.abs(scene.push) < least, nudge, scene.push)
-    scene = replace(scene, push=push, angle=scene.angle + push - scene.push)
-
-    numbers, outcome, _ = straight(scene, Model.ELASTICA)
-    small, elastic = straight(scene, Model.CLOSED_FORM)[0][:3], numbers[:3]
-    flat_beam, true = elastic.copy(), elastic.copy()
-    unit = np.ones_like(push)
-    given = unit, scene.taper, unit, scene.distance, np.nan_to_num(push)
-    slopes = elastica._signal_jacobian(*given)
-    held, moved = outcome == Outcome.HELD, np.zeros(push.size)
-    flat = np.flatnonzero((top == Model.PROFILE) & held)
-    if flat.size:
-        part, contact = scene.take(flat), numbers[6:, flat]
-        contact[0] *= part.start / part.distance
-        true[:, flat], slopes[..., flat], held[flat], moved[flat] = _planar_step(part, contact)
-    vouched = np.stack([held, held, np.ones_like(held)])
-
-    high = np.flatnonzero(top == Model.ROD)
-    if high.size:
-        part = scene.take(high)
-        numbers, outcome, _ = planar(part, 1e-9)
-        flat_beam[:, high] = numbers[:3]
-        vouched[2, high] = outcome == Outcome.HELD
-        some = np.flatnonzero(outcome == Outcome.HELD)
-        high, part, contact = high[some], part.take(some), numbers[6:, some]
-    if high.size:
-        _, slopes[..., high], *_ = _planar_step(part, contact)
-        true[:, high], good = _spatial_step(part, contact)
-        vouched[2, high] = good
-    vouched[:2] &= vouched[2]
-
-    misses = np.zeros((4, 3, push.size))
-    for model, signals in enumerate((small, elastic, flat_beam)):
-        miss = np.where(vouched[model], signals - true, np.inf)
-        if model < Model.PROFILE:  # what one step leaves is of the order of its square: twice it
-            miss = miss + np.copysign(2.0 * moved**2 * true, miss)
-        misses[model] = np.where(model < top, miss, 0.0)
-    return Estimates(top, true, slopes, misses)
-
-
-def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, Flags, Array]:
-    """Signals and slopes of the planar beam one Newton step from a contact (arc, force).
-
-    And how large the step was: of the moment, of the contact and of the whisker that is left.
-    """
-    rows, angle = scene.planar()
-    sign = np.where(scene.push < 0, -1.0, 1.0)
-    r, angle = scene.distance, angle * sign
-    s, f = np.minimum(contact[0], 1.0), np.abs(contact[1])
-    with np.errstate(all="ignore"):
-        path = follow_blocks(rows.mirrored(sign), s, f, scene.friction, STEPS)
-        slopes = signal_slopes(path, f, sign)
-        r_s, r_f, t_s, t_f = path.jacobian()
-        miss_r, miss_t = r - path.distance, angle - path.deflection
-        determinant = r_s * t_f - r_f * t_s
-        ds = (miss_r * t_f - miss_t * r_f) / determinant
-        df = (miss_t * r_s - miss_r * t_s) / determinant
-        size = np.maximum(np.abs(ds) / r, np.abs(df) / f)
-    good = (size < LARGEST_STEP) & (path.flips == 0) & (s + ds <= 1) & (path.error < RESOLVED)
-    ds, df = np.where(good, ds, 0.0), np.where(good, df, 0.0)
-    start = numbers_of(path.angle, path.lever, path.along, s, f, scene.friction, sign)
-    beta, lever, along = (
-        value + path.d_arc[k] * ds + path.d_force[k] * df
-        for k, value in enumerate((path.angle, path.lever, path.along))
-    )
-    numbers = numbers_of(beta, lever, along, s + ds, f + df, scene.friction, sign)
-    with np.errstate(all="ignore"):
-        moved = np.maximum(np.abs(numbers[0] / start[0] - 1), size)
-        # Next to the tip stiffness changes over what is left of the whisker.
-        size = np.maximum(moved, np.abs(ds) / (1 - s))
-    good &= moved < LARGEST_STEP
-    return numbers[:3], slopes, good, np.where(good, size, 0.0)
-
-
-def _spatial_step(scene: SceneRows, contact: Array) -> tuple[Array, Flags]:
-    """The rod's signals two Newton steps from a planar contact, and their vouching."""
-    rods = RodScenes.of(
-        scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO
-    )
-    v = np.stack([np.minimum(contact[0], 1.0), contact[1], np.zeros_like(contact[1])])
-    point, good = scene.point().T, np.ones(v.shape[1], dtype=bool)
-    scale = np.stack([scene.distance, np.abs(v[1]), np.abs(v[1])])
-    for _ in range(2):
-        step, _ = rods.newton(v, point, STEPS)
-        good &= np.max(np.abs(step) / scale, axis=0) < LARGEST_STEP
-        v = v + np.where(good, step, 0.0)
-    good &= v[0] <= 1
-    base = rods.follow(v, STEPS)
-    force, lever = base.seen(base.force), base.seen(base.lever)
-    moment = lever[0] * force[1] - lever[1] * force[0]
-    return np.stack([moment, -force[0], force[1]]), good & (base.error < RESOLVED)
-
 
 #: Rows of the base signals that a cue can feel; a rate at a given speed is as good.
 _ROWS = {"moment": 0, "moment_rate": 0, "axial_force": 1, "transverse_force": 2}
@@ -209,9 +76,7 @@ def choose_model(
 
     Notes
     -----
-    To first order in the error. Errors are estimated by the first Newton step of the next model up
-    (`estimates`), which costs a few µs a scene, some 50 in space: choose once, and use the choice
-    for the thousands of contacts of a posterior (``press(..., model=choice)``).
+    To first order in the error. Each scene is solved with every model that it may need.
 
     Examples
     --------
@@ -239,11 +104,10 @@ def choose_model(
     n, shape = scenes.length.size, scenes.shape
     error, bias, model = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
     for part, rows, (r, theta, psi, turn, k, allowed) in scenes.pieces():
-        found = estimate(SceneRows.of(rows, r, theta, psi, turn))
-        error[:, part], off = _relative(found, [_ROWS[name] for name in names], unknowns)
+        scene = _pushed(SceneRows.of(rows, r, theta, psi, turn))
+        error[:, part], off = _biases(scene, [_ROWS[name] for name in names], unknowns)
         bias[:, part] = error[:, part] if weber_fraction is None else off / k
-        # Below by a tenth, as biases are estimates.
-        model[part] = np.argmax(bias[:, part] * 1.1 <= allowed, axis=0)
+        model[part] = np.argmax(bias[:, part] <= allowed, axis=0)
     return Choice(
         model.reshape(shape) if shape else Model(int(model[0])),
         error.T.reshape(*shape, 4),
@@ -267,22 +131,54 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
     return names, unknowns == _UNKNOWNS[1]
 
 
-def _relative(found: Estimates, felt: list[int], angle_unknown: bool) -> tuple[Array, Array]:
+def _pushed(scene: SceneRows, least: float = 1e-6) -> SceneRows:
+    """With a push, rad, below which signals are proportional to it: relative errors stay."""
+    nudge = np.where(scene.push < 0, -least, least)
+    push = np.where(np.abs(scene.push) < least, nudge, scene.push)
+    return replace(scene, push=push, angle=scene.angle + push - scene.push)
+
+
+def _biases(scene: SceneRows, sensed: list[int], angle_unknown: bool) -> tuple[Array, Array]:
     """Largest relative error of any signal, and that along the direction of r, each (4, n)."""
+    top = scene.top()
+    signals = np.stack([_signals(scene, np.minimum(model, top)) for model in Model])
+    true = signals[-1]
     with np.errstate(all="ignore"):
-        relative = np.where(found.misses == 0, 0.0, found.misses / found.signals)
-        slopes = found.slopes[felt] / found.signals[felt][:, None]
-        off = np.abs((_direction(slopes, angle_unknown) * relative[:, felt]).sum(axis=1))
-    worst = np.nan_to_num(np.abs(relative), nan=np.inf, posinf=np.inf).max(axis=1)
+        relative = np.nan_to_num(np.abs(signals / true - 1), nan=np.inf, posinf=np.inf)
+        relative = np.where(np.array([*Model])[:, None, None] < top, relative, 0.0)
+        worst = relative.max(axis=1)
+        if len(sensed) == 1:
+            return worst, relative[:, sensed[0]]
+        slopes = _slopes(scene, top)[sensed] / true[sensed][:, None]
+        signed = np.where(relative[:, sensed] > 0, signals[:, sensed] / true[sensed] - 1, 0.0)
+        off = np.abs((_direction(slopes, angle_unknown) * signed).sum(axis=1))
     # Where the slopes are lost, as at a fold, the worst signal is what there is.
     return worst, np.where(np.isfinite(off), off, worst)
+
+
+def _signals(scene: SceneRows, model: Codes) -> Array:
+    """Moment, axial and transverse force (3, n) by the model named of each; NaN where lost."""
+    numbers, outcome, _ = press(scene, model, 1e-9)
+    return np.where(outcome == Outcome.HELD, numbers[:3], np.nan)
+
+
+def _slopes(scene: SceneRows, model: Codes, step: float = 1e-5) -> Array:
+    """Derivatives (3, 2, n) of the signals to distance and deflection angle, by differences."""
+    columns = []
+    for dr, dt in ((step * scene.distance, 0.0), (0.0, step * np.abs(scene.push))):
+        ends = [
+            SceneRows.of(scene.rows, scene.distance + s * dr, scene.angle + s * dt,
+                         scene.friction, scene.roll)
+            for s in (1, -1)
+        ]  # fmt: skip
+        up, down = (_signals(end, model) for end in ends)
+        columns.append((up - down) / (2 * (dr + dt)))
+    return np.stack(columns, axis=1)
 
 
 def _direction(slopes: Array, angle_unknown: bool) -> Array:
     """The unit vector of relative signals (S, n) that tells of r, from ∂ln s/∂(r, θ_d)."""
     to_r, to_angle = slopes[:, 0], slopes[:, 1]
-    if len(to_r) == 1:
-        return np.ones_like(to_r)
     if angle_unknown and len(to_r) == 2:  # also where the two columns are parallel: a ridge
         q: Array = np.stack([to_angle[1], -to_angle[0]])
     elif angle_unknown:

@@ -1,16 +1,15 @@
 """Sweeps against objects: where a whisker touches as its base turns or moves, up to flick-past.
 
-§2g. A peg, a cylinder of finite radius, a flat wall and a convex contour are all *rounded
-polygons*: corners, straight edges between them, and one radius of rounding. A whisker touches a
-corner's arc or an edge with its flank, tangentially, or an object with its tip, whose force is
-normal to the object instead of the whisker; which of these it is changes along a sweep.
+§2g. The objects are a peg, a cylinder of finite radius and a flat wall. A whisker touches them with
+its flank, tangentially, or with its tip, whose force is normal to the object instead of the
+whisker; which of these it is changes along a sweep.
 
 The whisker touches at one point. One that is curved towards the object may touch it a second time,
 with its tip or with its flank: the sweep ends with `TOUCHES_TWICE` where the shape of one contact
 would take it a millionth of its length into the object elsewhere.
 
 Whisking is quasi-static here: the whisker is in balance at every angle, without inertia. It is
-then a good model where the base turns slowly; `modes.quasi_static` says up to which frequency.
+then a good model where the base turns slowly (`analyses/gallery/quasi_static.py` says how slowly).
 
 The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
@@ -44,9 +43,9 @@ from ..whisker import Whisker
 from .contact import Bending, Outcome
 from .profile import bend
 from .shape import Profile
-from .touch import Body, Touch, TouchedBody, contour, cylinder, peg, wall
+from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
 
-__all__ = ["Body", "Sweep", "contour", "cylinder", "peg", "sweep", "wall"]
+__all__ = ["Body", "Sweep", "cylinder", "peg", "sweep", "wall"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ def sweep(
     whisker : Whisker or Profile
         One whisker: scalar fields.
     body : Body
-        Made by `peg`, `cylinder`, `wall` or `contour`.
+        Made by `peg`, `cylinder` or `wall`.
     rotation : array (n,)
         Angles of the base at which to report, rad, ascending, from before the first contact.
     friction_angle : float
@@ -193,7 +192,7 @@ def sweep(
     numbers: dict[str, Any] = {
         name: np.where(held, value, np.nan)
         for name, value in vars(b).items()
-        if name not in ("outcome", "model", "whisker", "choice")
+        if name not in ("outcome", "model", "whisker")
     }
     b = replace(b, **numbers, outcome=member(Outcome, outcome))
     turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)

@@ -15,13 +15,11 @@ is negative. The sign of the friction angle does not depend on the side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative, positive
-from .._values import Array, Flags
+from .._checks import finite, positive
+from .._values import Array
 from ..whisker import Whisker
 from .beam import Rows, resolve
 from .contact import TOLERANCE, Bending, FlickPast, Outcome
@@ -254,68 +252,3 @@ def flick_past(
         for numbers, error in zip((at_end, at_peak), errors, strict=True)
     )
     return FlickPast(end.deflection_angle, scenes.outcome(ended_by), end, peak)
-
-
-@dataclass(frozen=True, eq=False)
-class Sticking:
-    """The equilibria between which friction holds a contact in place.
-
-    Attributes
-    ----------
-    inward : Bending
-        About to slide inwards over the object (the contact moving tipwards), as while the whisker
-        is pressed harder: friction angle −atan µ.
-    outward : Bending
-        About to slide outwards, as while it is let go: friction angle +atan µ.
-    stuck_inward, stuck_outward : bool or array
-        True where no sliding equilibrium exists that way though the frictionless contact holds:
-        friction at which nothing slides.
-    """
-
-    inward: Bending
-    outward: Bending
-    stuck_inward: Flags
-    stuck_outward: Flags
-
-
-def sticking(
-    whisker: Whisker | Profile,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike,
-    friction_coefficient: ArrayLike,
-    *,
-    tolerance: float = TOLERANCE,
-) -> Sticking:
-    """The sticking range of a contact: any signals between its two ends are in balance.
-
-    Parameters
-    ----------
-    radial_distance, deflection_angle : float or array
-        m, rad.
-    friction_coefficient : float or array
-        Coulomb's µ of rest; about 0.48 for a whisker on steel.
-
-    Raises
-    ------
-    ValueError
-        As for `press`, and for a negative coefficient.
-
-    Examples
-    --------
-    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
-    >>> s = sticking(w, 30e-3, np.radians(15), friction_coefficient=0.48)
-    >>> print(f"{s.inward.axial_force:.3e} to {s.outward.axial_force:.3e} N")
-    1.040e-05 to 9.214e-05 N
-    """
-    mu = non_negative("friction_coefficient", friction_coefficient, "give µ, such as 0.48")
-
-    def at(tilt: Array) -> Bending:
-        return press(whisker, radial_distance, deflection_angle, tilt, tolerance=tolerance)
-
-    inward, outward, held = at(-np.arctan(mu)), at(np.arctan(mu)), at(0 * mu).held
-    return Sticking(
-        inward,
-        outward,
-        held & np.logical_not(inward.held),
-        held & np.logical_not(outward.held),
-    )

@@ -29,7 +29,7 @@ from .._values import Array, Codes, Index
 from ..whisker import Whisker
 from . import closed_form, elastica, rod
 from .beam import Rows
-from .contact import Bending, Choice, Model, Outcome
+from .contact import Bending, Model, Outcome
 from .continuation import zero_load
 from .equilibrium import Scenes, Solved, by_rows, friction, press_rows
 from .shape import Profile, Spiral
@@ -105,11 +105,11 @@ class SceneRows:
         return Profile(whisker, rows.arc, rows.radius, core, rows.law or Spiral())
 
 
-def press_chosen(
+def press_by(
     whisker: Whisker | Profile, r: ArrayLike, theta: ArrayLike, psi: ArrayLike, roll: ArrayLike,
-    choice: Choice, tolerance: float = 1e-9,
+    model: Model | Codes, tolerance: float = 1e-9,
 ) -> Bending:  # fmt: skip
-    """Press each whisker by the model chosen for its scene; arguments as for `ladder.press`.
+    """Press each whisker by the model named for its scene; arguments as for `ladder.press`.
 
     `tolerance` is that of solving the equations of the planar beam.
     """
@@ -117,24 +117,16 @@ def press_chosen(
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, model: Array) -> Solved:
         return press(SceneRows.of(rows, r, theta, psi, turn), model.astype(np.int8), tolerance)
 
-    b = by_rows(
-        solve, whisker, length=r, angle=theta, tilt=friction(psi), roll=roll, model=choice.model
-    )
-    model: Any = np.broadcast_to(np.asarray(choice.model, dtype=np.int8), np.shape(b.moment))
-    off = np.take_along_axis(choice.error, np.asarray(choice.model)[..., None], -1)[..., 0]
-    # What the closed form says of itself is about the same error as the choice's.
-    own = np.where(model == Model.CLOSED_FORM, 0.0, b.error)
-    error = np.where(np.isnan(b.error), np.nan, off + own)
-    model = model if model.ndim else Model(int(model))
-    return replace(b, model=model, error=error[()], choice=choice)
+    b = by_rows(solve, whisker, length=r, angle=theta, tilt=friction(psi), roll=roll, model=model)
+    used: Any = np.broadcast_to(np.asarray(model, dtype=np.int8), np.shape(b.moment))
+    return replace(b, model=used if used.ndim else Model(int(used)))
 
 
 def press_in_space(
     whisker: Whisker | Profile, r: ArrayLike, theta: ArrayLike, psi: ArrayLike, roll: ArrayLike
 ) -> Bending:
     """The rod as a `Bending`; arguments as for `ladder.press`."""
-    whole = Choice.complete(Model.ROD, 1e-9)
-    return press_chosen(whisker, r, theta, psi, roll, whole)
+    return press_by(whisker, r, theta, psi, roll, Model.ROD)
 
 
 def jacobian_in_space(

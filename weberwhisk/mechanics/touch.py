@@ -1,10 +1,8 @@
 """The ways in which a whisker touches a body, and the equations of each: inside `objects`.
 
-A whisker touches a corner's arc or an edge with its flank, tangentially, or an object with its
-tip, whose force is normal to the object instead of the whisker. The unknowns are two: contact arc
-and force, or for the tip its tilt into the object and the force.
-
-All are rounded polygons: corners, the straight edges between them, and one radius of rounding.
+A whisker touches a circle or a wall with its flank, tangentially, or with its tip, whose force is
+normal to the object instead of the whisker. The unknowns are two: contact arc and force, or for the
+tip its tilt into the object and the force.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, positive
 from .._values import Array
 from .beam import follow, pilot, rows_of
 from .contact import Outcome
@@ -24,31 +22,24 @@ from .shape import Profile, bent_shape
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A convex object: `corners` (k, 2), clockwise, in m, rounded by `radius`, m."""
+    """A circle of `radius` about one corner, m, or a wall through two: `corners` (1 or 2, 2)."""
 
     corners: Array
     radius: float = 0.0
 
     def depth(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """How deep points lie inside, m; negative outside. Two corners are a wall, solid below.
+        """How deep points lie inside, m; negative outside. A wall is solid below.
 
         Examples
         --------
         >>> print(cylinder(0.0, -3e-3, 1e-3).depth(0.0, [0.0, -2.5e-3]))
         [-0.002   0.0005]
         """
-        place = np.stack(np.broadcast_arrays(x, y), axis=-1)[..., None, :] - self.corners
+        x, y = np.asarray(x) - self.corners[0, 0], np.asarray(y) - self.corners[0, 1]
         if len(self.corners) == 1:
-            return np.asarray(self.radius - np.hypot(place[..., 0, 0], place[..., 0, 1]))
-        step = np.diff(np.vstack([self.corners, self.corners[:1]]), axis=0)
-        span = np.hypot(step[:, 0], step[:, 1])
-        along = (place * step).sum(axis=-1) / span
-        over = (place[..., 1] * step[:, 0] - place[..., 0] * step[:, 1]) / span
-        if len(self.corners) == 2:
-            return np.asarray(self.radius - over[..., 0])
-        off = along - np.clip(along, 0, span)
-        edge = np.min(np.hypot(off, over), axis=-1)
-        return self.radius - np.where(np.all(over <= 0, axis=-1), -edge, edge)
+            return np.asarray(self.radius - np.hypot(x, y))
+        step = self.corners[1] - self.corners[0]
+        return np.asarray((x * step[1] - y * step[0]) / np.hypot(*step))
 
 
 def peg(x: float, y: float) -> Body:
@@ -67,29 +58,6 @@ def wall(x: float, y: float, angle: float) -> Body:
     return Body(_points([np.array([x, y]) - along, np.array([x, y]) + along]))
 
 
-def contour(points: ArrayLike, radius: float = 0.0) -> Body:
-    """A convex contour given as points (k, 2), m, in order, its corners rounded by `radius`.
-
-    Raises
-    ------
-    ValueError
-        For fewer than three points, and for a contour that is not convex.
-    """
-    corners = _points(points)
-    steps = np.diff(np.vstack([corners, corners[:1]]), axis=0)
-    turns = steps[:, 0] * np.roll(steps[:, 1], -1) - steps[:, 1] * np.roll(steps[:, 0], -1)
-    headings = np.arctan2(steps[:, 1], steps[:, 0])
-    whole = abs(_turn(np.diff(headings, append=headings[:1])).sum())  # of a star it is two turns
-    one_way = np.all(turns > 0) or np.all(turns < 0)
-    if len(corners) < 3 or not one_way or whole > 3 * np.pi:
-        raise ValueError(
-            f"A contour must be convex, of three points or more in order, got {len(corners)} "
-            "points that turn both ways, not at all or more than once; give its convex hull."
-        )
-    rounding = float(non_negative("radius", radius, "give metres, or 0 for sharp corners"))
-    return Body(corners if turns[0] < 0 else corners[::-1], rounding)
-
-
 def _points(points: ArrayLike) -> Array:
     array = finite("points", points, "give rows of (x, y) in metres")
     if array.ndim != 2 or array.shape[1] != 2:
@@ -103,9 +71,8 @@ OVERLAP = 1e-6
 
 @dataclass(frozen=True)
 class Touch:
-    """A way to touch: feature 2i is corner i, 2i + 1 the edge after it; flank or tip."""
+    """A way to touch: with the tip or with the flank."""
 
-    feature: int
     tip: bool
 
 
@@ -133,10 +100,9 @@ class TouchedBody:
         length = float(profile.whisker.length)
         self.corners, self.radius = body.corners / length, body.radius / length
         self.body = Body(self.corners, self.radius)
-        self.friction = friction
-        step = np.diff(np.vstack([self.corners, self.corners[:1]]), axis=0)
-        self.edges = np.arctan2(step[:, 1], step[:, 0])
-        self.spans = np.hypot(step[:, 0], step[:, 1])
+        self.friction, self.is_wall = friction, len(self.corners) == 2
+        step = self.corners[-1] - self.corners[0]
+        self.edge = float(np.arctan2(step[1], step[0]))
 
     def pose(self, at: float) -> tuple[float, float]:
         """How far the base has turned, and moved."""
@@ -167,15 +133,15 @@ class TouchedBody:
         x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
         return x, y, angle - tilt - self.friction, angle - self.friction, v[1]
 
-    def miss(self, touch: Touch, state: State, at: float) -> Array:
+    def miss(self, state: State, at: float) -> Array:
         """The two equations, (2, m)."""
         x, y, _, tangent, _ = state
-        corner = self.seen(self.corners[touch.feature // 2], at)
+        corner = self.seen(self.corners[0], at)
         off_x = x + self.radius * np.sin(tangent) - corner[0]
         off_y = y - self.radius * np.cos(tangent) - corner[1]
-        if touch.feature % 2 == 0:
+        if not self.is_wall:
             return np.stack([off_x, off_y])
-        edge = self.edges[touch.feature // 2] + self.pose(at)[0]
+        edge = self.edge + self.pose(at)[0]
         return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
 
     def solve(self, touch: Touch, v: Array, at: float) -> TouchSolution | None:
@@ -185,7 +151,7 @@ class TouchedBody:
             f_step = step * max(1.0, abs(v[1]))
             probes = v[:, None] + np.array([[0, -step, 0], [0, 0, f_step]])
             state = self.state(touch, probes)
-            f = self.miss(touch, state, at)
+            f = self.miss(state, at)
             if not np.all(np.isfinite(f)):
                 return None
             jacobian = np.stack([(f[:, 0] - f[:, 1]) / step, (f[:, 2] - f[:, 0]) / f_step], axis=1)
@@ -205,7 +171,7 @@ class TouchedBody:
 
     def next_touch(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
         """None if this touch is valid, else what it turns into, or what it ends by."""
-        change = self._change(touch, found, at)
+        change = self._change(touch, found)
         if change is None and self.rows.law and self._overlap(touch, found, at) > OVERLAP:
             return Outcome.TOUCHES_TWICE
         return change
@@ -221,29 +187,13 @@ class TouchedBody:
         _, x, y = bent_shape(self.profile, arc, held, push, tilt) / float(whisker.length)
         return self.depth(x, y, at)
 
-    def _change(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
-        v, (x, y, _, tangent, _) = found.point, found.state
+    def _change(self, touch: Touch, found: TouchSolution) -> Touch | Outcome | None:
+        v = found.point
         if not touch.tip and v[0] > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
         if v[1] < -1e-9:
             return Outcome.OUT_OF_REACH
-        if touch.tip and v[0] < -1e-9:
-            return Touch(touch.feature, False)
-        i, k = touch.feature // 2, len(self.corners)
-        if touch.feature % 2:
-            corner = self.seen(self.corners[i], at)
-            edge = self.edges[i] + self.pose(at)[0]
-            along = (x - corner[0]) * np.cos(edge) + (y - corner[1]) * np.sin(edge)
-            if along > self.spans[i]:
-                return Touch(2 * ((i + 1) % k), touch.tip)
-            return Touch(2 * i, touch.tip) if along < 0 else None
-        if k == 1:
-            return None
-        tangent = tangent - self.pose(at)[0]
-        after, before = (_turn(tangent - self.edges[k]) for k in (i, i - 1))
-        if after < -1e-9:
-            return Touch(2 * i + 1, touch.tip)
-        return Touch(2 * ((i - 1) % k) + 1, touch.tip) if before > 1e-9 else None
+        return Touch(False) if touch.tip and v[0] < -1e-9 else None
 
     def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
         """Pose in the range, touch and start of the first contact, the whisker at rest."""
@@ -257,7 +207,7 @@ class TouchedBody:
         # What is swept, and when, by its place along: outwards, or ahead.
         along, across = (x, y) if self.translates else (np.hypot(x, y), np.arctan2(y, x))
         top = int(np.argmax(along)) + 1  # a whisker that curls back is touched before it does
-        places, features = self._outline(along[top - 1])
+        places = self._outline(along[top - 1])
         out, high = places if self.translates else (np.hypot(*places), np.arctan2(*places[::-1]))
         reach = (out > 0) & (out <= along[top - 1] * (1 + 1e-12))
         needed = np.interp(out, along[:top], across[:top]) - high
@@ -270,54 +220,44 @@ class TouchedBody:
         if first > end:
             return None
         turned = self.pose(first)[0]
-        # A point may belong to an edge and to its corner: which one touches, the tangents say.
         glancing = None  # a curved flank on an edge, whose point of touch lies between two of ours
         for at in np.flatnonzero(needed <= first + 1e-10):
-            feature, arc = int(features[at]), float(np.interp(out[at], along[:top], s[:top]))
+            arc = float(np.interp(out[at], along[:top], s[:top]))
             tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
-            tilt = float(_turn(self._tangent_at(places[:, at], feature) + turned - tangent))
+            tilt = float(_turn(self._tangent_at(places[:, at]) + turned - tangent))
             flat = abs(tilt) < 1e-6
-            if arc > 1 - 1e-6 and 1e-6 < tilt < np.pi / 2 and (feature % 2 or self.radius > 0):
-                return first, Touch(feature, True), np.array([tilt, 0.0])
-            if flat or (feature % 2 == 0 and (self.radius == 0 or abs(tilt) < 0.02)):
-                return first, Touch(feature, False), np.array([arc, 0.0])
+            is_peg = not self.is_wall and self.radius == 0
+            if arc > 1 - 1e-6 and 1e-6 < tilt < np.pi / 2 and not is_peg:
+                return first, Touch(True), np.array([tilt, 0.0])
+            if flat or is_peg or (not self.is_wall and abs(tilt) < 0.02):
+                return first, Touch(False), np.array([arc, 0.0])
             if abs(tilt) < 0.02 and glancing is None:
-                glancing = first, Touch(feature, False), np.array([arc, 0.0])
+                glancing = first, Touch(False), np.array([arc, 0.0])
         return glancing
 
-    def _outline(self, reach: float) -> tuple[Array, Array]:
-        """Points of the object's outline, (2, m), and their features, within reach as well."""
-        places, features = [], []
-        k = len(self.corners)
-        for i in range(k):
-            high = self.edges[i - 1] if k > 1 else np.pi
-            low = high - (_turn(high - self.edges[i]) % (2 * np.pi) if k > 1 else 2 * np.pi)
-            t = np.linspace(low, high, 4001 if self.radius else 1)
-            if self.radius:  # and where the arc leaves the whisker's reach, to the tip
-                ends = self._crossings(self.corners[i], reach)
-                ends = high - (high - ends) % (2 * np.pi)
-                t = np.append(t, ends[ends >= low])
-            arc = self.corners[i][:, None] + self.radius * np.stack([-np.sin(t), np.cos(t)])
-            places.append(arc)
-            features += [2 * i] * arc.shape[1]
-            if k == 1:
-                continue
-            edge = np.array([np.cos(self.edges[i]), np.sin(self.edges[i])])
-            start = self.corners[i] + self.radius * np.array([-edge[1], edge[0]])
-            # Where the edge leaves the whisker's reach is where a tip would meet it.
-            if self.translates:
-                low, high = np.sort((np.array([0.0, reach]) - start[0]) / (edge[0] or 1e-12))
-            else:
-                middle, gap = -start @ edge, abs(start[1] * edge[0] - start[0] * edge[1])
-                half = np.sqrt(max(reach**2 - gap**2, 0.0))
-                low, high = middle - half, middle + half
-            t = np.clip(np.linspace(low, high, 4001), 0, self.spans[i])
-            places.append(start[:, None] + t * edge[:, None])
-            features += [2 * i + 1] * t.size
-        return np.concatenate(places, axis=1), np.array(features)
+    def _outline(self, reach: float) -> Array:
+        """Points of the object's outline, (2, m), within reach as well."""
+        corner = self.corners[0]
+        if not self.is_wall:
+            t = np.linspace(-np.pi, np.pi, 4001 if self.radius else 1)
+            if self.radius:  # and where the circle leaves the whisker's reach, to the tip
+                t = np.append(t, self._crossings(corner, reach))
+            return np.asarray(corner[:, None] + self.radius * np.stack([-np.sin(t), np.cos(t)]))
+        edge = np.array([np.cos(self.edge), np.sin(self.edge)])
+        # Where the wall leaves the whisker's reach is where a tip would meet it.
+        if self.translates:
+            low, high = np.sort((np.array([0.0, reach]) - corner[0]) / (edge[0] or 1e-12))
+        else:
+            middle, gap = -corner @ edge, abs(corner[1] * edge[0] - corner[0] * edge[1])
+            half = np.sqrt(max(reach**2 - gap**2, 0.0))
+            low, high = middle - half, middle + half
+        span = np.hypot(*(self.corners[1] - corner))
+        return np.asarray(
+            corner[:, None] + np.clip(np.linspace(low, high, 4001), 0, span) * edge[:, None]
+        )
 
     def _crossings(self, corner: Array, reach: float) -> Array:
-        """Tangents' angles at which the rounding of a corner is as far as the whisker reaches."""
+        """Tangents' angles at which the circle is as far as the whisker reaches."""
         size, bearing = float(np.hypot(*corner)), float(np.arctan2(corner[1], corner[0]))
         if self.translates:
             share, at = (corner[0] - reach) / self.radius, 0.0
@@ -329,10 +269,10 @@ class TouchedBody:
         half = np.arcsin(share)
         return at + np.array([half, np.pi - half])
 
-    def _tangent_at(self, place: Array, feature: int) -> float:
-        if feature % 2:
-            return float(self.edges[feature // 2])
-        out = place - self.corners[feature // 2]
+    def _tangent_at(self, place: Array) -> float:
+        if self.is_wall:
+            return self.edge
+        out = place - self.corners[0]
         return float(np.arctan2(-out[0], out[1]))
 
 

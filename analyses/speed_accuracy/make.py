@@ -1,12 +1,13 @@
 """Speed against accuracy, with the tools of others beside this package's own.
 
-    python analyses/speed_accuracy.py [--short] [--sets N] [folder]
+    python analyses/speed_accuracy/make.py [--short] [--sets N] [folder]
 
-What `weberwhisk chart --full` measures, and: a chain of rigid links on springs and PyElastica on
-the beams; emcee without this package's help (a loop over readings, plain and vectorised, its
-stretch and its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested
-one (dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee
-come with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
+This package's methods, each swept over its own knob (`chart.py`, `beams.py`), and beside them a
+chain of rigid links on springs and PyElastica on the beams; emcee without this package's help (a
+loop over readings, plain and vectorised, its stretch and its differential-evolution move), a
+gradient sampler (littlemcmc's NUTS) and a nested one (dynesty) on the posteriors; psignifit and
+psychofit on the fits. All but the chain and emcee come with ``pip install weberwhisk[referees]``;
+what is not installed is left out, with a note.
 
 Writes beams, posteriors, jnds, fits and growth (CSV) and the figures speed_accuracy and
 fits_and_growth.
@@ -20,6 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import contextlib
 import io
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -29,17 +31,20 @@ from pathlib import Path
 import emcee
 import numpy as np
 import pandas as pd
-from command import options
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from command import machine, options
 from psignifit_side_by_side import psignifit_answer
 from referees import Scene as Loaded
 from referees import pyelastica
 from scipy.optimize import root
+from speed_accuracy import beams, plots
+from speed_accuracy import chart as charts
+from speed_accuracy.beams import timed
 
 import weberwhisk as ww
-from weberwhisk import charts, figures
 from weberwhisk.behaviour import Trials
-from weberwhisk.charts import beams
-from weberwhisk.charts.beams import timed
 from weberwhisk.mechanics import closed_form
 from weberwhisk.output import Run
 
@@ -284,7 +289,7 @@ def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
 
 def make(folder: Path, *, full: bool = True, sets: int = 50) -> dict[str, pd.DataFrame]:
     """Tables and figures into `folder`."""
-    foot = charts.machine(*PACKAGES)
+    foot = machine(*PACKAGES)
     absent = missing()
     foot += f"; not installed: {', '.join(absent)}" if absent else ""
     with Run(folder, "speed_accuracy", {"full": full, "sets": sets, "machine": foot}) as run:
@@ -301,8 +306,8 @@ def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
     own = ("closed", "elastica", "planar", "rod", "quadrature", "Laplace", "emcee, stacked",
            "exact", "Fisher", "posteriors")  # fmt: skip
     outside = {m for m in table["method"].unique() if not m.startswith(own) and m != "emcee"}
-    run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot, outside=outside))
-    run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot, outside=outside))
+    run.figure("speed_accuracy", plots.speed_accuracy(table, foot=foot, outside=outside))
+    run.figure("fits_and_growth", plots.fits_and_growth(table, foot=foot, outside=outside))
 
 
 if __name__ == "__main__":

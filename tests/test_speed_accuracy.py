@@ -1,12 +1,12 @@
-"""Speed against accuracy: the tables' errors, what a figure needs of them, and the command.
+"""Speed against accuracy: the tables' errors, and what a figure needs of them.
 
 Times are measured by the charts and never asserted.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,9 +15,10 @@ from analysis_scripts import load
 from figure_checks import faults
 
 import weberwhisk as ww
-from weberwhisk import charts, cli, figures
-from weberwhisk.charts import beams
-from weberwhisk.cli import run_app
+
+beams, charts, plots, script = (
+    load(f"speed_accuracy.{name}") for name in ("beams", "chart", "plots", "make")
+)
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +76,8 @@ def test_every_tool_fits_the_same_data_sets(monkeypatch: pytest.MonkeyPatch) -> 
     """With a quarter of them an RMSE looked 2 to 10 % lower than another's."""
     seen: dict[str, list[bytes]] = {}
 
-    def tool(name: str) -> charts.Tool:
-        def answer(trials: ww.behaviour.Trials) -> charts.Answer:
+    def tool(name: str) -> Any:
+        def answer(trials: ww.behaviour.Trials) -> Any:
             seen.setdefault(name, []).append(trials.cells().count.tobytes())
             return (0.1 + 0.01 * len(seen[name]), 0.05, 0.2)
 
@@ -129,97 +130,18 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
     assert two["closed form"] > 0.1
 
 
-def test_growth_is_that_of_the_arithmetic() -> None:
-    assert charts.slope([1, 4, 16, 64], [3, 12, 48, 192]) == pytest.approx(1)
-    assert np.isnan(charts.slope([1], [1]))
-
-
-def made_up() -> dict[str, pd.DataFrame]:
-    """Tables of every form, with a failure and a method that never answers."""
-    scenes, knobs = ("easy", "hard"), (1.0, 20.0)
-
-    def rows(part: str, methods: tuple[str, ...]) -> pd.DataFrame:
-        return pd.DataFrame(
-            [
-                {"part": part, "scene": scene, "method": method, "knob": knob, "count": 5,
-                 "seconds": 1e-3 * knob * 300**i,
-                 "error": np.nan if method == "lost" else 1e-3 / knob,
-                 "failed": float(method == "lost") or 0.5 * (knob > 1), "coverage": 0.9}
-                for scene in scenes for i, method in enumerate(methods) for knob in knobs
-            ]
-        )  # fmt: skip
-
-    marks = pd.DataFrame(
-        {"part": "posteriors", "scene": scene, "method": name, "seconds": 1e-6, "error": 1e-9}
-        for scene in scenes
-        for name in ("closed form", "referee")
-    )
-    grown = pd.DataFrame({"part": "growth", "method": "n", "count": [1, 10], "seconds": [1, 2.0]})
-    return {
-        "beams": rows("beams", ("closed form", "lost")),
-        "posteriors": pd.concat([rows("posteriors", ("quadrature", "theirs")), marks]),
-        "jnds": pd.concat(
-            [
-                rows("jnds", ("closed form", "theirs")),
-                marks[marks["method"] == "referee"].assign(part="jnds"),
-            ]
-        ),
-        "fits": rows("fits", ("quadrature",))[:2].assign(error_se=1e-4),
-        "growth": grown.assign(bytes=[100, 900], slope_seconds=0.3, slope_bytes=0.9),
-    }
-
-
-def test_figures_mark_failures_and_limits() -> None:
-    table = pd.concat(made_up().values(), ignore_index=True)
-    figure = figures.speed_accuracy(table, foot="a machine", outside={"theirs"})
-    axes = [ax for part in figure.subfigs for ax in part.axes]
-    assert len(axes) == 6
-    for ax in axes:
-        texts = [text.get_text() for text in ax.texts]
-        assert "closed form" in texts
-        assert "50%" in texts
-        assert ax.get_xscale() == ax.get_yscale() == "log"
-    texts = [text.get_text() for text in axes[0].texts]
-    assert texts.count("no answer") == 1  # "100%" twice over one another
-    assert "100%" not in texts
-    hollow = next(line for line in axes[2].lines if line.get_label() == "theirs")
-    assert hollow.get_markerfacecolor() == "white"
-    other = figures.fits_and_growth(table)
-    assert len([ax for part in other.subfigs for ax in part.axes]) == 4
-
 
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
+    names = "beams", "posteriors", "jnds", "fits", "growth"
     kept = Path(__file__).parents[1] / "analyses" / "figures"
-    parts = [pd.read_csv(kept / f"speed_accuracy_{part}.csv") for part in charts.PARTS]
+    parts = [pd.read_csv(kept / f"speed_accuracy_{part}.csv") for part in names]
     table = pd.concat(parts, ignore_index=True)
-    assert faults(figures.speed_accuracy(table)) == []
-    assert faults(figures.fits_and_growth(table)) == []
+    assert faults(plots.speed_accuracy(table)) == []
+    assert faults(plots.fits_and_growth(table)) == []
 
-
-def test_the_command_writes_tables_figures_and_the_machine(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tables = made_up()
-    parts = {name: lambda full, table=table: table for name, table in tables.items()}
-    monkeypatch.setattr(charts, "PARTS", parts)
-    for name in ("speed_accuracy", "fits_and_growth"):  # drawn above
-        monkeypatch.setattr(figures, name, lambda *a, **k: figures.new_figure())
-    assert run_app(cli.app, ["chart", "--out", str(tmp_path), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert "numpy" in printed["machine"]
-    assert str(Path.home()) not in printed["machine"]
-    assert len(printed["rows"]) == sum(map(len, tables.values()))
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {
-        "beams.csv", "posteriors.csv", "jnds.csv", "fits.csv", "growth.csv", "speed_accuracy.png",
-        "speed_accuracy.svg", "fits_and_growth.png", "fits_and_growth.svg", "chart.run.json",
-    }  # fmt: skip
-    assert run_app(cli.app, ["chart", "--out", str(tmp_path)]) == 0
-    assert "closed form" in capsys.readouterr().out
 
 
 def test_the_chain_of_links_converges_as_their_length_squared() -> None:
-    script = load("speed_accuracy")
     scene = beams.SCENES[0]
     errors = [script.chain(scene, links) / beams.truth(scene) - 1 for links in (20, 40, 80)]
     order = np.log2(np.abs(errors[:-1]) / np.abs(errors[1:]))
@@ -227,7 +149,6 @@ def test_the_chain_of_links_converges_as_their_length_squared() -> None:
 
 
 def test_plain_emcee_is_right() -> None:
-    script = load("speed_accuracy")
     observer = charts.OBSERVERS["one unknown: r"]
     rows = charts.readings(observer, 4)[:1]
     exact = charts.summed(observer, rows, 2000, zoom=True)

@@ -1,47 +1,47 @@
-"""The paper's claims (`data/paper_claims.toml`), and what we find of each, in computed numbers."""
+"""The paper's claims (`claims.toml`), and what we find of each, in computed numbers."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from gallery.along_whisk import limits
+from gallery.array_maps import array_by_count, array_resolution
+from gallery.lateral_slip import LateralSlip
+from gallery.surveys import NONE, WHISKER, K
+from paper import remade
+from paper.remade import CONE
 
-from .. import paper
-from .._values import Array
-from ..along_whisk import limits
-from ..array import WhiskerArray
-from ..array_observer import ArrayObserver, array_by_count, array_resolution
-from ..cues import (
-    AngleSideAngle,
-    ComparativeLength,
-    Compliance,
-    ForceMap,
-    LateralSlip,
-    Vibration,
-    VibrissaLength,
-)
-from ..inference import posterior
-from ..inference.observer import Observer, default_noise
-from ..jnd import weber_propagation
-from ..mechanics import (
+from weberwhisk import (
+    ArrayObserver,
+    Observer,
+    Whisker,
+    WhiskerArray,
     bend,
-    closed_form,
-    cylinder,
     flick_past,
+    posterior,
     press,
     signal_jacobian,
     sweep,
 )
-from ..mechanics.muscle import MuscleCurve, moment_balance
-from ..receptors import Weber
-from ..surveys import NONE, WHISKER, K
-from ..sweeping import follow
-from ..whisker import Whisker
-from . import CONE
+from weberwhisk.cues import (
+    AngleSideAngle,
+    ComparativeLength,
+    Compliance,
+    ForceMap,
+    Vibration,
+    VibrissaLength,
+)
+from weberwhisk.jnd import weber_propagation
+from weberwhisk.mechanics import closed_form, cylinder
+from weberwhisk.mechanics.muscle import MuscleCurve, moment_balance
+from weberwhisk.receptors import Weber
+from weberwhisk.sweeping import follow
 
+Array = np.ndarray
 L = float(WHISKER.length)
 CYLINDER = WHISKER.cylinder()
 SHARES = np.linspace(0.05, 0.95, 19)
@@ -118,7 +118,7 @@ def triangle() -> str:
 def out_of_the_plane() -> str:
     tilts = np.radians([20.0, 40.0, 60.0])
     slips = weber_propagation(
-        Observer(WHISKER, LateralSlip(), default_noise(WHISKER, LateralSlip(), K)),
+        Observer(WHISKER, LateralSlip()),  # k = 0.1 of both components of the moment
         np.stack([np.full(3, 0.5 * L), tilts], axis=-1),
     )
     ratio = slips / (K * L) / _compliance_jnd(WHISKER, np.array([0.5]))
@@ -189,15 +189,15 @@ def monotonic() -> str:
 def forces_at_90() -> str:
     arc = np.array([0.3, 0.5, 0.7, 0.9]) * L
     taper, cylinder = (
-        paper.loaded(w, arc, np.array(np.pi / 2)).force for w in paper.WHISKERS.values()
+        remade.loaded(w, arc, np.array(np.pi / 2)).force for w in remade.WHISKERS.values()
     )
     ratio = ", ".join(f"{v:.3f}" for v in taper / cylinder)
     return f"the taper's force over the cylinder's at 90°, 0.3, 0.5, 0.7 and 0.9 L: {ratio}"
 
 
 def one_to_one() -> str:
-    signs = set(np.sign(paper.map_jacobian(WHISKER)).ravel())
-    crossed = paper.crossings(paper.map_boundary(WHISKER, 120))
+    signs = set(np.sign(remade.map_jacobian(WHISKER)).ravel())
+    crossed = remade.crossings(remade.map_boundary(WHISKER, 120))
     return (
         f"signs of the map's Jacobian over all contacts to 90°: {len(signs)}; crossings of the "
         f"image of its edge: {crossed}; so no two contacts share their signals"
@@ -218,28 +218,28 @@ def muscle() -> str:
 
 
 def flick_past_at() -> str:
-    end = paper.curve_end(MuscleCurve.NORMALISED)
+    end = remade.curve_end(MuscleCurve.NORMALISED)
     return f"from an impact at 60° the balance ends at {end:.3f} L"
 
 
 def two_of_four() -> str:
-    outcome = moment_balance(WHISKER, np.array(paper.SHOWN) * L, paper.IMPACT).outcome
+    outcome = moment_balance(WHISKER, np.array(remade.SHOWN) * L, remade.IMPACT).outcome
     held = int(np.sum(outcome == 0))
     return f"at 0.3, 0.5, 0.7, 0.9 L: {held} balance, {len(outcome) - held} flick past"
 
 
 def balance_monotonic() -> str:
-    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, paper.IMPACT).balance_angle
+    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, remade.IMPACT).balance_angle
     low, high = np.degrees(b[[0, -1]])
     falls = int(np.sum(np.diff(b) <= 0))
     return f"from {low:.1f}° at 0.3 L to {high:.1f}° at 0.69 L, with {falls} falls in 99 steps"
 
 
 def white_areas() -> str:
-    grid = paper.surface(MuscleCurve.NORMALISED, paper.DISTANCES[::10], paper.IMPACTS[::10]).query(
-        "outcome != 'BALANCED'"
-    )
-    share, angle = paper.dashed_line()
+    grid = remade.surface(
+        MuscleCurve.NORMALISED, remade.DISTANCES[::10], remade.IMPACTS[::10]
+    ).query("outcome != 'BALANCED'")
+    share, angle = remade.dashed_line()
     below = grid["impact_angle_deg"] <= np.interp(grid["radial_distance"], share, angle) + 1e-9
     wrong = int((below == (grid["outcome"] == "END_OF_WHISKING")).sum())
     return f"{wrong} of {len(grid)} contacts without balance lie on the wrong side of the line"
@@ -367,10 +367,15 @@ class Claim(NamedTuple):
     limit: str = ""
 
 
-_TOML = tomllib.loads((files("weberwhisk") / "data" / "paper_claims.toml").read_text("utf-8"))
+_TOML = tomllib.loads(Path(__file__).with_name("claims.toml").read_text("utf-8"))
 CLAIMS = tuple(Claim(**claim) for claim in _TOML["claim"])
 #: The paper's figures in its order, with what each shows.
 PANELS: dict[str, str] = _TOML["panels"]
+
+
+def found_of(claim: Claim) -> str:
+    """What is found of one claim, computed now."""
+    return str(globals()[claim.found]())
 
 
 def rows() -> Iterator[dict[str, str]]:
@@ -379,7 +384,7 @@ def rows() -> Iterator[dict[str, str]]:
         yield {
             "where": claim.where,
             "claim": claim.says,
-            "found": globals()[claim.found](),
+            "found": found_of(claim),
             "limit": claim.limit,
             "test": claim.test,
         }
@@ -391,9 +396,9 @@ def as_markdown(rows: list[dict[str, str]]) -> str:
         "# Radial distance and Weber's law, remade",
         "",
         "Solomon JH, Hartmann MJZ (2011) *Phil. Trans. R. Soc. B* 366:3049, "
-        "doi:10.1098/rstb.2011.0166. Numbers are computed by `weberwhisk paper`; values called the "
-        "paper's are those of its text. A whisker of 50 mm, radius ratio 20, and k = 0.1 unless "
-        "said otherwise; lengths over L.",
+        "doi:10.1098/rstb.2011.0166. Numbers are computed by `python analyses/paper/make.py`; "
+        "values called the paper's are those of its text. A whisker of 50 mm, radius ratio 20, and "
+        "k = 0.1 unless said otherwise; lengths over L.",
     ]
     for name, words in PANELS.items():
         lines += ["", f"**Figure {words}**", "", f"![{words}]({name}.png)"]

@@ -20,15 +20,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from gallery.surveys import WHISKER
 from scipy.integrate import solve_ivp
 
-from .._values import Array
-from ..cues import Compliance
-from ..mechanics import Bending, Outcome, bend, flick_past, press
-from ..mechanics.muscle import WHISKING, Balance, MuscleCurve, moment_balance
-from ..surveys import WHISKER
-from ..whisker import Whisker
+from weberwhisk import Bending, Outcome, Whisker, bend, flick_past, press
+from weberwhisk.cues import Compliance
+from weberwhisk.mechanics.muscle import WHISKING, Balance, MuscleCurve, moment_balance
 
+Array = np.ndarray
 CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
 
 

@@ -11,10 +11,22 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from command import with_units
+from gallery.lateral_slip import LateralSlip
 
-from ._values import Array, with_units
-from .array import WhiskerArray
-from .cues import (
+from weberwhisk import (
+    Observer,
+    Outcome,
+    Status,
+    Whisker,
+    added_information,
+    flick_past,
+    identities,
+    jnd_curve,
+    posterior,
+    press,
+)
+from weberwhisk.cues import (
     AngleSideAngle,
     BalanceOfMoments,
     ComparativeLength,
@@ -24,23 +36,18 @@ from .cues import (
     ForceMap,
     Friction,
     Fused,
-    LateralSlip,
     TwoWhiskers,
     Vibration,
     VibrissaLength,
 )
-from .cues.force_map import SIGNALS
-from .inference import Status, posterior
-from .inference.observer import Observer, default_noise
-from .jnd import added_information, fisher_jnd, weber_propagation
-from .jnd_curves import jnd_curve
-from .mechanics import elastica
-from .mechanics.contact import Outcome
-from .mechanics.ladder import flick_past, press
-from .mechanics.model_choice import of_shape_at_rest
-from .receptors import Weber
-from .whisker import Whisker, identities
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import default_noise
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.jnd_curves import linear_surface, up_to_the_fold
+from weberwhisk.mechanics.model_choice import of_shape_at_rest
+from weberwhisk.receptors import Weber
 
+Array = np.ndarray
 WHISKER = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 K = 0.1
 #: Deflection where a cue does not say, rad.
@@ -49,35 +56,14 @@ SEED = 20110166
 ARRAY = "which of three whiskers touch (b)"
 
 
-def neighbours(whisker: Whisker = WHISKER, identity: str | None = None) -> ComparativeLength:
-    """Which of three whiskers touch: this one and the two nearest of its row.
-
-    Without an identity its neighbours are assumed: four and three fifths as long, with bases 3 and
-    6 mm in front. With one they have the mean lengths of the rat's, and bases as far away, along
-    the row, as the array's equations say (Belli, Bresee, Graff & Hartmann 2018, PLoS ONE).
-
-    Examples
-    --------
-    >>> neighbours(identity="E4").lengths * 1e3  # E5 and E3
-    array([11.3, 26.8])
-    """
-    if identity is None:
-        bases = [[0.0, 3e-3], [0.0, 6e-3]]
-        return ComparativeLength([0.8 * whisker.length, 0.6 * whisker.length], bases)
-    row, column = identity[0], int(identity[1:])
-    array = WhiskerArray("rat", "right").whiskers
-    others = [int(name[1:]) for name in array if name[0] == row and name != identity]
-    near = sorted(others, key=lambda c: (abs(c - column), -c))[:2]
-    found = [array[f"{row}{c}"] for c in near]
-    gaps = [np.linalg.norm(one.base - array[identity].base) for one in found]
-    signed = [[0.0, np.copysign(gap, c - column)] for gap, c in zip(gaps, near, strict=True)]
-    return ComparativeLength([one.whisker.length for one in found], signed)
-
-
+#: Which of three whiskers touch: the other two are shorter, with bases 3 and 6 mm in front.
+NEIGHBOURS = ComparativeLength(
+    [0.8 * WHISKER.length, 0.6 * WHISKER.length], [[0.0, 3e-3], [0.0, 6e-3]]
+)
 #: One line a cue, in the order of the paper's sections.
 CUES: dict[str, Cue] = {
     "whisker length (a)": VibrissaLength(),
-    ARRAY: neighbours(),
+    ARRAY: NEIGHBOURS,
     "angle-side-angle (c)": AngleSideAngle(),
     "two whiskers (c)": TwoWhiskers(),
     "contact and detachment (c)": ContactAndDetachment(),
@@ -95,48 +81,37 @@ MAPPED = ("vibration, 3 modes with phase (d)", "tap (e)", "moment and axial forc
           "moment and both forces (f)")  # fmt: skip
 
 
-def curves(
-    points: int,
-    draws: int,
-    *,
-    whisker: Whisker = WHISKER,
-    identity: str | None = None,
-    seed: int = SEED,
-) -> pd.DataFrame:
+def curves(points: int, draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """The JND of every cue by every route, a row for each cue and distance.
 
     Up to the tip for all of them: where a method does not work there its ``outcome`` says why.
-    With `identity` the neighbours of `neighbours` are the real ones.
     """
-    tables = []
-    for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
-        r = np.linspace(0.03, 0.97, points) * whisker.length
+    tables, r = [], np.linspace(0.03, 0.97, points) * WHISKER.length
+    for name, cue in CUES.items():
         angle = ANGLE if "deflection_angle" in cue.unknowns else None
-        curve = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed)
+        curve = jnd_curve(Observer(WHISKER, cue), r, angle, n_readings=draws, seed=seed)
         table = curve.table.reset_index()
         table.insert(0, "cue", name)
-        tables.append(table.assign(place=r / whisker.length))
+        tables.append(table.assign(place=r / WHISKER.length))
     return pd.concat(tables, ignore_index=True)
 
 
-def curvatures(
-    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
-) -> pd.DataFrame:
+def curvatures(points: int, draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """JNDs of moment and axial force for observers that know a whisker's curvature and friction.
 
     Touched on the concave side, straight and on the convex side: curvatures of −1, 0 and 1 over the
     length; and straight, sliding inwards with a friction angle of −5°. ``model`` is the one each
     observer chose.
     """
-    r, tables = np.linspace(0.05, 0.95, points) * whisker.length, []
+    r, tables = np.linspace(0.05, 0.95, points) * WHISKER.length, []
     scenes = (("concave", -1, 0), ("straight", 0, 0), ("convex", 1, 0), ("rubbing", 0, -5))
     for name, turn, degrees in scenes:
-        curved = replace(whisker, curvature=turn / whisker.length)
+        curved = replace(WHISKER, curvature=turn / WHISKER.length)
         cue = Friction(ForceMap(), np.radians(degrees)) if degrees else ForceMap()
         made = Observer(curved, cue, default_noise(curved, cue, K))
         table = jnd_curve(made, r, ANGLE, n_readings=draws, seed=seed).table.reset_index()
         table = table.assign(curvature_per_m=curved.curvature, friction_angle_deg=degrees)
-        table = table.assign(whisker=name, model=str(made.model), place=r / whisker.length)
+        table = table.assign(whisker=name, model=str(made.model), place=r / WHISKER.length)
         tables.append(table)
     return pd.concat(tables, ignore_index=True)
 
@@ -166,23 +141,16 @@ FAILING: dict[str, Cue] = {
 }  # fmt: skip
 
 
-def outcomes(
-    points: int,
-    draws: int,
-    *,
-    whisker: Whisker = WHISKER,
-    identity: str | None = None,
-    seed: int = SEED,
-) -> pd.DataFrame:
+def outcomes(points: int, draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """What becomes of contacts and, by each cue's own method, of noisy readings of them.
 
     A row for each cue, distance (to a fifth beyond the tip) and `Outcome`: its ``share`` of the
     readings, or 1 where there is no reading.
     """
     rng, tables = np.random.default_rng(seed), []
-    r = np.linspace(0.03, 1.2, points) * whisker.length
-    for name, cue in (FAILING | {ARRAY: neighbours(whisker, identity)}).items():
-        observer = Observer(whisker, cue)
+    r = np.linspace(0.03, 1.2, points) * WHISKER.length
+    for name, cue in FAILING.items():
+        observer = Observer(WHISKER, cue)
         count = observer.bounded
         contact = observer.at_middle(np.stack([r, np.full(points, ANGLE)], axis=-1)[:, :count])
         signals, lost = observer.signals(contact)
@@ -195,38 +163,38 @@ def outcomes(
             share = (of_readings == outcome).mean(axis=1)
             table = pd.DataFrame({"cue": name, "radial_distance_mm": 1e3 * r, "share": share})
             label = Outcome(int(outcome)).message.split(":")[0]
-            tables.append(table.assign(outcome=label, place=r / whisker.length))
+            tables.append(table.assign(outcome=label, place=r / WHISKER.length))
     return pd.concat(tables, ignore_index=True)
 
 
-def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
+def best(points: int) -> pd.DataFrame:
     """Fisher JND of the mapped cues at contacts up to the last that is held.
 
     The name of the least is ``best``; ``limit_deg`` is the largest deflection at that distance,
     ``beyond`` what becomes of a contact beyond it, and ``share`` the deflection over the limit.
     """
-    r = np.linspace(0.03, 0.99, points) * whisker.length
+    r = np.linspace(0.03, 0.99, points) * WHISKER.length
     share = np.linspace(0.02, 0.99, points)
-    limit = np.asarray(flick_past(whisker, r).deflection_angle)
-    lost = np.asarray(press(whisker, r, limit * 1.05).outcome)
+    limit = np.asarray(flick_past(WHISKER, r).deflection_angle)
+    lost = np.asarray(press(WHISKER, r, limit * 1.05).outcome)
     beyond = np.array([Outcome(int(k)).message.split(":")[0] for k in lost])
     place, part = (a.ravel() for a in np.meshgrid(np.arange(points), share, indexing="ij"))
     contact = np.stack([r[place], limit[place] * part], axis=-1)
     table = pd.DataFrame(contact, columns=["radial_distance", "deflection_angle"])
     table = table.assign(
-        share=part, limit=limit[place], beyond=beyond[place], place=r[place] / whisker.length
+        share=part, limit=limit[place], beyond=beyond[place], place=r[place] / WHISKER.length
     )
     for name in MAPPED:
-        observer = Observer(whisker, CUES[name])
+        observer = Observer(WHISKER, CUES[name])
         table[name] = fisher_jnd(observer, contact[:, : len(observer.unknowns)])
     table["best"] = table[list(MAPPED)].idxmin(axis=1)
     return with_units(table, ["radial_distance", *MAPPED], ["deflection_angle", "limit"])
 
 
-def bits(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
+def bits(draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """What the mapped cues tell alone and add to the others."""
     fused = Fused(*(CUES[name] for name in MAPPED[:3]))
-    table = added_information(Observer(whisker, fused), n_readings=draws, seed=seed)
+    table = added_information(Observer(WHISKER, fused), n_readings=draws, seed=seed)
     table["cue"] = [*MAPPED[:3], "all three"]
     return table
 
@@ -235,12 +203,12 @@ def bits(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.Data
 RIDGE = (0.5, 0.3)
 
 
-def ridge(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
+def ridge(draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """Draws from the posterior of one reading of M and Fx, tapered and cylindrical; its status."""
     tables = []
-    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+    for name, shape in (("tapered", WHISKER), ("cylinder", WHISKER.cylinder())):
         observer = Observer(shape, ForceMap(), Weber(0.03))
-        reading = observer.signals([RIDGE[0] * whisker.length, RIDGE[1]])[0]
+        reading = observer.signals([RIDGE[0] * WHISKER.length, RIDGE[1]])[0]
         found = posterior(observer, reading)
         drawn = found.draws_of(draws // 4, seed)[0].reshape(-1, 2)
         table = pd.DataFrame(drawn, columns=["radial_distance", "deflection_angle"])
@@ -263,12 +231,10 @@ FAMILY = {
 PLACE = 0.7
 
 
-def observer(
-    k_moment: float, k_force: float, correlation: float = 0.0, *, whisker: Whisker = WHISKER
-) -> Observer:
+def observer(k_moment: float, k_force: float, correlation: float = 0.0) -> Observer:
     """The paper's pair of signals under Weber noise."""
     noise = Weber([k_moment, k_force], correlation=correlation)
-    return Observer(whisker, ForceMap(), noise)
+    return Observer(WHISKER, ForceMap(), noise)
 
 
 def closed_form(r: Array, k_moment: float, k_force: float, rho: float) -> Array:
@@ -278,86 +244,51 @@ def closed_form(r: Array, k_moment: float, k_force: float, rho: float) -> Array:
     return 0.5 * (a - r) * (3 * a - 2 * r) / (2 * a - r) * noise
 
 
-def surface(
-    k_moment: float, k_force: float, points: int = 90, *, whisker: Whisker = WHISKER
-) -> pd.DataFrame:
-    """The linear JND over every contact up to flick-past, as `figures.jnd_surface` takes it.
-
-    Where one signal alone is noisy there is ``signed_jnd_mm``: to first order an error of that
-    signal moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
-    through zero the signed JND does, a false zero that no posterior has.
-    """
-    import pandas as pd
-
-    # Close to the limit the slopes vary fast: angles stand denser there.
-    share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
-    contact, angle = _up_to_the_fold(whisker, np.linspace(0.02, 0.99, points), share)
-    columns = {
-        "radial_distance": contact[..., 0],
-        "deflection_angle": contact[..., 1],
-        "jnd": weber_propagation(observer(k_moment, k_force, whisker=whisker), contact),
-        "contact_angle": angle,
-    }
-    if min(k_moment, k_force) < 1e-6 * max(k_moment, k_force):
-        slopes = elastica.signal_jacobian(whisker, contact[..., 0], contact[..., 1])[..., 1]
-        columns["signed_jnd"] = columns["jnd"] * np.sign(slopes[..., int(k_moment > k_force)])
-    table = pd.DataFrame({name: np.ravel(column) for name, column in columns.items()})
-    angles = ["deflection_angle", "contact_angle"]
-    return with_units(table, [name for name in columns if name not in angles], angles)
+def surface(k_moment: float, k_force: float, points: int = 90) -> pd.DataFrame:
+    """The linear JND at every contact up to flick-past."""
+    return linear_surface(observer(k_moment, k_force), points)
 
 
-def posterior_surface(
-    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
-) -> pd.DataFrame:
+def posterior_surface(points: int, draws: int, *, seed: int = SEED) -> pd.DataFrame:
     """Figure 4b's surface by full posteriors, with noise in both signals alike.
 
     As `surface`, with the columns of a `JNDCurve`'s table; 30 × 30 contacts of 100 readings take
     some 10 s of one core.
     """
     places, shares = np.linspace(0.05, 0.97, points), np.linspace(0.005, 0.98, points)
-    contact, angle = _up_to_the_fold(whisker, places, shares)
-    noisy, (r, theta) = observer(K, K, whisker=whisker), np.moveaxis(contact, -1, 0)
+    contact, angle = up_to_the_fold(WHISKER, places, shares)
+    noisy, (r, theta) = observer(K, K), np.moveaxis(contact, -1, 0)
     table = jnd_curve(noisy, r, theta, n_readings=draws, seed=seed).table.reset_index()
     return table.assign(jnd_mm=table["posterior_mm"], contact_angle_deg=np.degrees(angle).ravel())
 
 
-def _up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Array, Array]:
-    """Contacts (P, S, 2) at places over L and shares of the largest deflection; their angles."""
-    r = places * whisker.length
-    limit = np.asarray(flick_past(whisker, r).deflection_angle)
-    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * shares), axis=-1)
-    return contact, press(whisker, contact[..., 0], contact[..., 1]).contact_angle
-
-
-def false_zero(
-    draws: int, degrees: Array | None = None, *, whisker: Whisker = WHISKER, seed: int = SEED
-) -> pd.DataFrame:
+def false_zero(draws: int, degrees: Array | None = None, *, seed: int = SEED) -> pd.DataFrame:
     """Linear, Fisher and posterior JNDs with noise in the axial force and next to none else.
 
     A noise of 0.003 in the moment, which still has posteriors.
     """
     share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
-    theta = share * _last_angle(whisker) if degrees is None else np.radians(degrees)
-    noisy = observer(0.003, K, whisker=whisker)
-    curve = jnd_curve(noisy, PLACE * whisker.length, theta, n_readings=draws, seed=seed)
+    theta = share * _last_angle() if degrees is None else np.radians(degrees)
+    noisy = observer(0.003, K)
+    curve = jnd_curve(noisy, PLACE * WHISKER.length, theta, n_readings=draws, seed=seed)
     kept = ["fisher_mm", "posterior_mm", "posterior_error_mm", "unreliable"]
-    return _linear(whisker, theta).join(curve.table.reset_index()[kept])
+    return _linear(theta).join(curve.table.reset_index()[kept])
 
 
-def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
+def linear_between() -> pd.DataFrame:
     """The linear JND of `false_zero` at deflections in between, up to flick-past."""
-    return _linear(whisker, np.linspace(0.04, 0.99, 400) * _last_angle(whisker))
+    return _linear(np.linspace(0.04, 0.99, 400) * _last_angle())
 
 
-def _last_angle(whisker: Whisker) -> float:
+def _last_angle() -> float:
     """Deflection at which it flicks past where the false zero is shown, rad."""
-    return float(flick_past(whisker, PLACE * whisker.length).deflection_angle)
+    return float(flick_past(WHISKER, PLACE * WHISKER.length).deflection_angle)
 
 
-def _linear(whisker: Whisker, theta: Array) -> pd.DataFrame:
+def _linear(theta: Array) -> pd.DataFrame:
     """The linear JND there, with noise in the axial force alone."""
-    contact = np.stack([np.full(theta.size, PLACE * whisker.length), theta], axis=-1)
-    linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
+    contact = np.stack([np.full(theta.size, PLACE * WHISKER.length), theta], axis=-1)
+    linear = weber_propagation(observer(NONE, K), contact)
     return pd.DataFrame({"deflection_angle_deg": np.degrees(theta), "linear_jnd_mm": 1e3 * linear})
 
 

@@ -1,20 +1,33 @@
-"""Along a whisk: inertia beside a beam of finite elements, and JNDs against push and its limits."""
+"""The gallery's studies: cues side by side, a whisk, its speed, a tilted surface, an array."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from analysis_scripts import load
+from cue_checks import keeps_the_protocol, small_noise_limit
+from figure_checks import faults
+from matplotlib.figure import Figure
 from scipy.linalg import eigh
+from scipy.special import ndtr
 
 import weberwhisk as ww
-from weberwhisk import along_whisk, surveys
+from weberwhisk.cues import ForceMap, Friction
+from weberwhisk.inference import default_noise
 from weberwhisk.jnd import fisher_jnd
-from weberwhisk.mechanics import quasi_static
-from weberwhisk.mechanics.modes import modes
+from weberwhisk.mechanics import profile, rod
+from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 
+gallery, surveys, along_whisk, array_maps = (
+    load(f"gallery.{name}") for name in ("make", "surveys", "along_whisk", "array_maps")
+)
+quasi_static = load("gallery.quasi_static").quasi_static
+LateralSlip = load("gallery.lateral_slip").LateralSlip
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 CYLINDER = ww.Whisker(40e-3, 60e-6, 60e-6)
 
@@ -71,32 +84,6 @@ def test_inertia_lies_between_its_bounds(whisker: ww.Whisker, place: float) -> N
         assert least * (1 - 1e-3) < lost < most * (1 + 1e-3)
 
 
-def test_a_beam_stepped_through_time_loses_as_much() -> None:
-    """Newmark's average acceleration over a whisk that starts slowly: its moment's amplitude."""
-    r, frequency, rate = 40e-3, 12.0, 4e-4
-    stiff, mass, free = beam(WHISKER, r, 40)
-    inner, time = np.ix_(free, free), np.arange(0.0, 0.75, rate)
-    onset = np.clip(time / 0.4, 0, 1)
-    angle = np.sin(2 * np.pi * frequency * time) * onset**2 * (3 - 2 * onset)
-    push = np.gradient(np.gradient(angle, rate), rate)
-    step = np.linalg.inv(mass[inner] + rate**2 / 4 * stiff[inner])
-    u, v, a, felt = (np.zeros(len(free)) for _ in range(4))
-    felt = np.zeros(time.size)
-    for i in range(1, time.size):
-        guess = u + rate * v + rate**2 / 4 * a
-        load = -stiff[free, 1] * angle[i] - mass[free, 1] * push[i]
-        after = step @ (load - stiff[inner] @ guess)
-        u, v, a = guess + rate**2 / 4 * after, v + rate / 2 * (a + after), after
-        inertia = mass[1, free] @ a + mass[1, 1] * push[i]
-        felt[i] = stiff[1, 1] * angle[i] + stiff[1, free] @ u + inertia
-    late = time > 0.5
-    wave = np.exp(2j * np.pi * frequency * time[late])
-    amplitude = 2 * abs(np.mean(felt[late] * wave))
-    lost = 1 - amplitude / moment(WHISKER, r, 1e-3)
-    least, most = quasi_static(WHISKER, r).error(frequency)
-    assert least * 0.97 < lost < most * 1.03
-
-
 def test_a_first_contact_rings_within_its_bound() -> None:
     """The modes of 60 finite elements, each with its own damping, from a whisker that strikes."""
     r, zeta, time = 30e-3, 0.1, np.linspace(2e-3, 0.1, 200)
@@ -121,23 +108,6 @@ def test_a_first_contact_rings_within_its_bound() -> None:
     assert (rings[early] / most[early]).max() > 0.8
     for share in (0.1, 1e-3):
         assert found.onset(found.settled(share)) == pytest.approx(share, rel=1e-6)
-    with pytest.raises(ValueError, match="damping_ratio must be between 0 and 1, got 0"):
-        found.onset(0.01, 0.0)
-
-
-def test_limits_and_notes_of_speed_say_the_same_as_the_bound() -> None:
-    found = quasi_static(WHISKER, 30e-3)
-    for error in (1e-3, 1e-2, 0.3):
-        assert found.error(found.limit(error))[1] == pytest.approx(error, rel=1e-9)
-    assert np.isinf(found.error(found.first_frequency * 1.01)[1])
-    assert "mechanics hold." in found.note(8.0)
-    assert f"hold up to {found.limit(0.01):.3g} Hz" in found.note(20.0)
-    assert "do not hold" in found.note(200.0)
-    at_tip = quasi_static(WHISKER, 50e-3)
-    assert at_tip.first_frequency > modes(WHISKER, 1).frequency[0]
-    for wrong in (0.0, 51e-3, np.nan):
-        with pytest.raises(ValueError, match="radial_distance"):
-            quasi_static(WHISKER, wrong)
 
 
 def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
@@ -192,19 +162,6 @@ def test_torque_stops_the_push_on_the_way_up_to_the_largest_moment(r, push, torq
     assert np.all(np.asarray(ww.press(WHISKER, r, before).moment) < torque)
 
 
-def test_angles_along_a_whisk_are_those_of_straight_whiskers() -> None:
-    """A curved one, whose angles start where it lies, had JNDs of a negative moment."""
-    curved = ww.Whisker.from_identity("C2", curved=True)
-    for ask in (
-        lambda: along_whisk.limits(curved, [20e-3]),
-        lambda: along_whisk.resolution_along_push(curved, 20e-3, [0.1, 0.2]),
-    ):
-        with pytest.raises(ValueError, match=r"straight whisker is needed.*write curvature=0"):
-            ask()
-    with pytest.raises(ValueError, match="push must be"):
-        along_whisk.limits(WHISKER, [20e-3], push=-0.1)
-
-
 def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
     angles = np.radians([16.0, 24.0])
     at = along_whisk.bodies(25e-3, [5e-3])
@@ -228,23 +185,6 @@ def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
         assert (there["radial_distance_mm"] < 24).all()
 
 
-def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:
-    for made in (
-        along_whisk.resolution_along_push, along_whisk.lateral_sweep, along_whisk.reversal
-    ):  # fmt: skip
-        with pytest.raises(ValueError, match="radial_distance must be above zero, got -1"):
-            made(WHISKER, -1.0, [0.1])
-        with pytest.raises(ValueError, match=r"must be on the whisker of 0.05 m, got 25; give met"):
-            made(WHISKER, 25.0, [0.1])
-        with pytest.raises(ValueError, match="straight whisker is needed"):
-            made(ww.Whisker.from_identity("C2", curved=True), 20e-3, [0.1])
-    with pytest.raises(ValueError, match=r"must be on the whisker of 0.05 m, got 25"):
-        along_whisk.limits(WHISKER, [10e-3, 25.0])
-    far = along_whisk.limits(WHISKER, [10e-3, 45e-3], push=2.0)
-    assert far["outcome"].tolist() == ["HELD", "FLICKED_PAST"]
-    assert far["weber_mm"].isna().tolist() == [False, True]
-
-
 def test_speeds_and_limits_are_those_read_aloud() -> None:
     """Of the figures' whisker, of 3 GPa; what was written was of 3.34."""
     r = np.array([0.2, 0.5, 0.85]) * surveys.WHISKER.length
@@ -255,3 +195,158 @@ def test_speeds_and_limits_are_those_read_aloud() -> None:
     assert (1e3 * found["settled_s"]).round().tolist() == [5, 10, 21]
     row = along_whisk.limits(surveys.WHISKER, r[2]).iloc[0]
     assert row["threshold_mm"] / row["weber_mm"] == pytest.approx(1.4, abs=0.02)
+
+
+# -- cues side by side ---------------------------------------------------------------------------
+
+
+def test_no_cue_is_best_everywhere() -> None:
+    table = surveys.best(15)
+    names = [f"{name}_mm" for name in surveys.MAPPED]
+    assert np.all(table[names].min(axis=1) > 0)
+    assert table["best"].nunique() == 3
+    # Both forces and the moment are never worse than two of the three.
+    pair, every = (table[name] for name in names[2:])
+    assert np.all(every <= pair * (1 + 1e-9))
+
+
+def test_only_the_cylinder_has_a_ridge() -> None:
+    table = surveys.ridge(400)
+    spread = table.groupby("whisker")["radial_distance_mm"].std()
+    assert spread["cylinder"] > 5 * spread["tapered"]
+    ridge = table[table["whisker"] == "cylinder"]
+    # M ∝ θ/r along it: one moment, any distance.
+    ratio = ridge["deflection_angle_deg"] / ridge["radial_distance_mm"]
+    assert ratio.std() / ratio.mean() < 0.1
+    assert ridge["radial_distance_mm"].max() > 2 * ridge["radial_distance_mm"].quantile(0.1)
+
+
+def test_every_way_to_fail_is_an_outcome() -> None:
+    """By chance, as a tip that is not touched, or altogether, as modes that damping merges."""
+    table = surveys.outcomes(30, 60, seed=3)
+    total = table.groupby(["cue", "radial_distance_mm"])["share"].sum()
+    assert np.allclose(total, 1.0)
+    names = {cue: set(rows["outcome"]) for cue, rows in table.groupby("cue")}
+    assert {"no touch", "tip not touched"} <= names["whisker length (a)"]
+    assert "no touch" in names["which of three whiskers touch (b)"]
+    assert {"one-sided", "out of reach"} <= names["angle-side-angle (c)"]
+    assert "flicked past" in names["contact and detachment (c)"]
+    assert "slipped off the tip" in names["moment and axial force (f)"]
+    assert "flicked past" in names["balance of moments (h)"]
+    assert "held" not in names["vibration, 6 damped modes (d)"]
+
+
+def test_the_surface_by_posteriors_ends_at_the_fold_and_falls_to_the_base() -> None:
+    table = surveys.posterior_surface(4, 20)
+    r, angle = table["radial_distance_mm"] * 1e-3, np.radians(table["deflection_angle_deg"])
+    share = angle / ww.flick_past(surveys.WHISKER, r).deflection_angle
+    assert list(share) == pytest.approx(np.tile(np.linspace(0.005, 0.98, 4), 4))
+    # To first order the JND is largest at the base; posteriors know that nothing is nearer.
+    light = table[1::4]  # a third of the way to the fold
+    assert light["propagation_mm"].is_monotonic_decreasing
+    assert light["posterior_mm"].iloc[0] < 0.6 * light["posterior_mm"].iloc[1]
+    assert (table["jnd_mm"] == table["posterior_mm"]).all()
+
+
+def test_jnds_of_curved_and_rubbing_whiskers_are_those_of_the_planar_beam() -> None:
+    """Linear JNDs with slopes by differences of the beam's signals.
+
+    Axial forces that change sign have a floor: on the concave side, and where the whisker rubs.
+    """
+    table = surveys.curvatures(2, 2)
+    step, k = 1e-4, surveys.K
+    for row in table.to_dict("records"):
+        whisker = replace(surveys.WHISKER, curvature=row["curvature_per_m"])
+        contact = np.array([row["radial_distance_mm"] * 1e-3, surveys.ANGLE])
+        near = contact * (1 + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+        psi = np.radians(row["friction_angle_deg"])
+        r, push = near.T  # from where the whisker is at rest
+        bent = profile.press(whisker, r, profile.rest_angle(whisker, r) + push, psi)
+        if row["outcome"].startswith("held"):
+            signals = np.array([bent.moment, bent.axial_force])
+            cue = Friction(ForceMap(), psi) if psi else ForceMap()
+            sd = default_noise(whisker, cue, k).sd(signals.mean(axis=1))
+            slope = (signals[:, ::2] - signals[:, 1::2]) / (2 * step * contact) / sd[:, None]
+            jnd = np.sqrt(np.linalg.inv(slope.T @ slope)[0, 0])
+            assert row["propagation_mm"] == pytest.approx(1e3 * jnd, rel=2e-3)
+    assert set(zip(table["whisker"], table["model"], strict=True)) == {
+        ("concave", "profile"), ("straight", "elastica"), ("convex", "profile"),
+        ("rubbing", "profile"),
+    }  # fmt: skip
+
+
+# -- a tilted surface ----------------------------------------------------------------------------
+
+
+def test_a_cue_of_ones_own_has_slopes_and_posteriors() -> None:
+    """`LateralSlip` is built on the protocol alone."""
+    observer = ww.Observer(WHISKER, LateralSlip(friction_angle=0.1))
+    keeps_the_protocol(observer, np.array([[10e-3, 0.4], [30e-3, -0.9]]))
+    contact = np.array([[10e-3, 0.5], [25e-3, 0.5], [40e-3, 0.5]])
+    noise = Joint([Weber(0.01), GeneralisedWeber(0, floor=0.01)], sizes=[1, 1])
+    square = ww.Observer(WHISKER, LateralSlip(), noise)
+    small_noise_limit(square, contact, draws=50, bias=2e-3)
+
+
+def test_the_lateral_slip_is_that_of_a_rod_pressed_by_a_tilted_plane() -> None:
+    """The rod of model 3, turned by a small angle against a smooth tilted plane."""
+    r, tilt, turn = 25e-3, 0.6, 1e-4
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=1e-9)
+    # The normal's part of the point's shift in the base frame is all that bends the whisker.
+    push = r * turn * np.cos(tilt)
+    point = [r, push * np.cos(tilt), push * np.sin(tilt)]
+    moment = rod.press(whisker, point).moment / turn
+    (size, direction), _ = LateralSlip().signals(WHISKER, np.array([r, tilt]))
+    # A force along (0, cos τ, sin τ) has the moment (0, −sin τ, cos τ).
+    assert np.hypot(moment[1], moment[2]) == pytest.approx(size, rel=1e-5)
+    assert np.arctan2(-moment[1], moment[2]) == pytest.approx(direction, rel=1e-5)
+
+
+# -- arrays --------------------------------------------------------------------------------------
+
+
+def array_of(*names: str, **how: object) -> ww.ArrayObserver:
+    array = ww.WhiskerArray("rat", "right", identities=list(names)).protract(np.radians(40))
+    return ww.ArrayObserver(array, **how)
+
+
+def test_a_map_is_that_of_the_posterior_region() -> None:
+    """Not by Fisher information: the area of the 95 % region, where noise is small."""
+    o = array_of("C2", "D2", "C3", noise=Weber(0.03))
+    row = array_maps.array_resolution(o, 16e-3, -1e-3).iloc[0]
+    said = np.pi * -2 * np.log(0.05) * row.major_mm * row.minor_mm
+    found = [ww.place(o, o.read([16e-3, -1e-3], seed)) for seed in range(4)]
+    assert np.mean([one.area() for one in found]) * 1e6 == pytest.approx(said, rel=0.25)
+    # The prior counts as a Gaussian of the same variance, which has 0.51 bits more than the box.
+    assert np.mean([one.bits for one in found]) == pytest.approx(row.bits - 0.51, abs=0.4)
+
+
+def test_fewer_whiskers_discriminate_worse() -> None:
+    o = array_of("C0", "C1", "C2", "C3", "D0", "D1", "D2", "D3")
+    places = np.linspace(-8e-3, 8e-3, 9)
+    table = array_maps.array_by_count(o, 20e-3, places, (1, 4, 8), subsets=60, seed=1)
+    assert table["correct"].is_monotonic_increasing
+    assert table["error_mm"].is_monotonic_decreasing
+    # With all intact, by hand: the widths' variance is that of both sides, their prior flat.
+    told = o.information(np.stack([np.full(9, 20e-3), places], axis=-1)).sum(axis=1)
+    prior = np.diag([1e-9, 12 / np.diff(o.box[1])[0] ** 2])
+    x = np.array([np.linalg.inv(each + prior)[0, 0] for each in told])
+    assert table["correct"].iloc[-1] == pytest.approx(ndtr(1.5e-3 / np.sqrt(2 * x)).mean())
+
+
+# -- charts --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", gallery.CHARTS)
+def test_every_chart_can_be_read(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gallery.Asked, "readings", lambda asked, times=1: 3)
+    chart = gallery.CHARTS[name](gallery.Asked(short=True)).chart
+    assert faults(chart if isinstance(chart, Figure) else ww.figures.figure_of(chart)) == []
+
+
+def test_a_chart_is_written_with_its_table(tmp_path: Path) -> None:
+    gallery.make(tmp_path, ["jnd-limits"], short=True)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "jnd-limits.csv", "jnd-limits.png", "jnd-limits.svg", "jnd-limits.run.json",
+    }  # fmt: skip

@@ -1,6 +1,6 @@
 """What a whisk tells as it goes on: the JND of distance against push, speed, torque and direction.
 
-Tables behind `weberwhisk figure` for §2g, §3b and §3c of the paper. Distances are in m, angles in
+Tables behind the gallery's charts for §2g, §3b and §3c of the paper. Distances are in m, angles in
 rad; a JND is that of the information in the moment and the axial force at the base.
 """
 
@@ -11,51 +11,29 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from command import with_units
+from gallery.quasi_static import quasi_static
 from numpy.typing import ArrayLike
 from scipy.optimize import elementwise
 
-from . import _checks
-from ._values import Array, Flags, pd, with_units
-from .cues import ForceMap
-from .inference.observer import Observer
-from .jnd import fisher_jnd
-from .mechanics import press
-from .mechanics.contact import Outcome
-from .mechanics.modes import quasi_static
-from .mechanics.objects import Body, Sweep, cylinder, peg, sweep, wall
-from .receptors import GeneralisedWeber, Weber
-from .sweeping import SweepFilter
-from .whisker import Whisker
+from weberwhisk import Observer, Outcome, Whisker, press, sweep
+from weberwhisk.cues import ForceMap
+from weberwhisk.jnd import fisher_jnd
+from weberwhisk.mechanics import cylinder, peg, wall
+from weberwhisk.mechanics.objects import Body, Sweep
+from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sweeping import SweepFilter
 
-__all__ = ["lateral_sweep", "limits", "resolution_along_push", "reversal", "speed"]
+Array = np.ndarray
 
 
 def bodies(distance: float, radii: Sequence[float] = (2e-3, 5e-3, 15e-3)) -> dict[str, Any]:
     """A peg and cylinders of some radii (m) that a straight whisker meets at a distance, m."""
-    _checks.positive_number("radial_distance", distance, "give metres, such as 25e-3")
     round_ones = {
         f"cylinder, {1e3 * radius:g} mm": cylinder(distance, -radius, radius) for radius in radii
     }
     return {"peg": peg(distance, 0.0), **round_ones}
-
-
-def _straight(whisker: Whisker, places: ArrayLike) -> Array:
-    """Distances on a straight whisker, m; of others angles are not counted from where they lie."""
-    if not isinstance(whisker, Whisker) or np.any(whisker.curvature):
-        raise ValueError(f"A straight whisker is needed, got {whisker!r}; write curvature=0.")
-    r = np.atleast_1d(_checks.positive("radial_distance", places, "give metres, such as 25e-3"))
-    if np.any(r > whisker.length):
-        raise ValueError(
-            f"radial_distance must be on the whisker of {whisker.length:g} m, got {r.max():g}; "
-            "give metres."
-        )
-    return r
-
-
-def _ascending(push: ArrayLike) -> Array:
-    """Rotations of the base since first contact, rad."""
-    hint = "give radians since first contact"
-    return np.atleast_1d(_checks.angle("push", _checks.positive("push", push, hint), hint))
 
 
 def resolution_along_push(
@@ -90,7 +68,7 @@ def resolution_along_push(
     §3c: what a push tells depends on slip. Against a peg r stays and θ_d is the push; against a
     body that is rounded the contact runs along the whisker, and the same push bends it less.
     """
-    angles, _ = _ascending(push), _straight(whisker, radial_distance)
+    angles = np.atleast_1d(push)
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     objects = bodies(radial_distance) | {"wall, by the tip": leaning(whisker)}
     parts = []
@@ -116,7 +94,7 @@ def leaning(whisker: Whisker, angle: float = np.pi / 3) -> Body:
     return wall(float(whisker.length), 0.0, angle)
 
 
-def _along(found: Sweep, observer: Observer) -> tuple[Array, Array, Array, Flags]:
+def _along(found: Sweep, observer: Observer) -> tuple[Array, Array, Array, Array]:
     """Distance, deflection and JND along a sweep but for its start, and where the flank touches."""
     bent = found.bending
     r, theta = (np.asarray(a, dtype=float)[1:] for a in (bent.radial_distance,
@@ -153,7 +131,7 @@ def lateral_sweep(
         `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (posterior mean),
         `distance_sd_mm`, `lower_mm` and `upper_mm` (95 %).
     """
-    angles, _ = _ascending(push), _straight(whisker, radial_distance)
+    angles = np.atleast_1d(push)
     rng = np.random.default_rng(seed)
     parts = []
     for name, body in bodies(radial_distance, [radius]).items():
@@ -221,10 +199,7 @@ def limits(
     The angle reached is known to the animal, so that the JND is that of the moment alone at it,
     sd(M)/|∂M/∂r|. Where the torque stops the push, the angle at which it did tells the same.
     """
-    r = _straight(whisker, places)
-    for name, value in (("torque", torque), ("saturation", saturation)):
-        _checks.positive(name, value, "give newton metres, such as 1e-6")
-    push = _checks.positive_number("push", push, "give radians, such as 0.1")
+    r = np.atleast_1d(places)
     angle = np.full(r.shape, push)
     # The moment has its peak before the whisker flicks past, and torque stops it on the way up.
     way = np.linspace(0.0, push, 401)
@@ -294,10 +269,9 @@ def reversal(
     Turning about its base, the whisker keeps its distance to a peg. A base that moves by y sideways
     goes away from it: r = √(r₀² + y²) with tan θ_d = y/r₀.
     """
-    angles, _ = _ascending(push), _straight(whisker, radial_distance)
+    angles = np.atleast_1d(push)
     own = bodies(radial_distance, [5e-3]) | {"wall, by the tip": leaning(whisker)}
-    mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
-    tilt = float(np.arctan(mu))
+    tilt = float(np.arctan(friction_coefficient))
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     rows = []
     for (name, body), base in product((objects or own).items(), ("rotates", "translates")):
@@ -341,7 +315,7 @@ def speed(
         which the moment is off by no more), for each frequency `error_8Hz`: the largest share that
         inertia takes off the moment, and `settled_s`: after a first contact, from when the moment
         rings with a tenth of itself at most, one JND at k = 0.1, where modes are damped to a tenth
-        of critical. See `mechanics.quasi_static`.
+        of critical. See `quasi_static`.
 
     Examples
     --------
@@ -349,7 +323,7 @@ def speed(
     >>> table["one_percent_hz"].round(1).tolist()
     [22.0, 2.5]
     """
-    r = np.atleast_1d(_checks.positive("places", places, "give metres"))
+    r = np.atleast_1d(places)
     rows = []
     for at in r:
         found = quasi_static(whisker, float(at))

@@ -1,4 +1,4 @@
-"""What every cue tells of distance, from the tables of `weberwhisk.surveys`."""
+"""What every cue tells of distance, from the tables of `surveys`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from .._values import pd
-from ..mechanics.contact import Outcome
-from .contacts import fill_surface
-from .style import (
+from weberwhisk import Outcome
+from weberwhisk.figures.contacts import fill_surface
+from weberwhisk.figures.style import (
     COLOURS,
     DOUBLE,
     LINES,

@@ -20,12 +20,12 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.optimize import root
 
-from .._values import Array
-from ..mechanics import closed_form, elastica, flick_past, profile, rod
-from ..whisker import Whisker
+from weberwhisk import Whisker, flick_past
+from weberwhisk.mechanics import closed_form, elastica, profile, rod
 
 T = TypeVar("T")
 Row = dict[str, Any]
+Array = np.ndarray
 WHISKER = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
 

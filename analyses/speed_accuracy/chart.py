@@ -3,7 +3,7 @@
 Every part is a table in one form, a row for each method, scene and setting of the method's own
 knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solution), `error`,
 `failed` (share without an answer, or flagged by the method itself). Time and error are of the same
-run. Rows of other tools may be joined to them; `weberwhisk.figures.speed_accuracy` draws either.
+run. `make` joins rows of other tools to them.
 
 The referee of a posterior's sd is a midpoint sum in the contact itself that shares no code with any
 engine; a JND is the mean of such sds over the readings of one contact.
@@ -21,23 +21,28 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 from scipy.integrate import cubature
+from speed_accuracy.beams import Row, timed
 
-from .. import cues, receptors
-from .._values import Array
-from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
-from ..inference import Posterior, Status, posterior
-from ..inference.laplace import find_mode
-from ..inference.observer import Observer
-from ..jnd import fisher_jnd, weber_propagation
-from ..jnd_curves import jnd_curve
-from ..mechanics import flick_past
-from ..output import machine
-from ..whisker import Whisker
-from . import beams
-from .beams import Row, timed
+from weberwhisk import (
+    Observer,
+    Posterior,
+    Status,
+    Trials,
+    Whisker,
+    cues,
+    fit_population,
+    fit_weber,
+    flick_past,
+    jnd_curve,
+    posterior,
+    receptors,
+    simulate_population,
+    simulate_trials,
+)
+from weberwhisk.inference.laplace import find_mode
+from weberwhisk.jnd import fisher_jnd, weber_propagation
 
-__all__ = ["PARTS", "TOOLS", "beams", "machine", "measure_fits", "measure_tool"]
-
+Array = np.ndarray
 WHISKER = Whisker(50e-3, 100e-6, 5e-6)
 K = 0.1
 OBSERVERS = {
@@ -439,13 +444,3 @@ def slope(count: Any, value: Any) -> float:
     half = len(count) // 2
     x, y = (np.log(np.asarray(v, dtype=float)[-max(half, 2) :]) for v in (count, value))
     return float(np.polyfit(x, y, 1)[0]) if x.size > 1 else float("nan")
-
-
-#: Name of each part, and what measures it: ``measure(full=...)`` gives its table.
-PARTS = {
-    "beams": beams.measure,
-    "posteriors": measure_posteriors,
-    "jnds": measure_jnds,
-    "fits": measure_fits,
-    "growth": measure_growth,
-}
