@@ -458,10 +458,6 @@ def test_places_refuse_what_is_no_reading(make, sentence: str) -> None:
         make()
 
 
-
-
-
-
 def test_arrays_and_places_are_drawn() -> None:
     o = observer("C1", "C2")
     assert len(o.array.plot().axes[0].lines) == 3

@@ -195,6 +195,7 @@ def test_quickstart_refuses_what_it_does_not_know(option: str, value: str) -> No
 
 # -- at once ---------------------------------------------------------------------------
 
+
 def test_two_conversations_do_not_write_one_log(tmp_path: Path) -> None:
     """The second is refused in a sentence, and the first goes on."""
     arguments = ["next", "--standard", "20", "--log", "log"]

@@ -16,6 +16,8 @@ from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 CURLED = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)  # towards the object
+
+
 def test_a_peg_is_press_at_every_angle():
     s = sweep(W, peg(35e-3, 0.0), np.radians([-5, 0.001, 5, 15, 24, 25]))
     np.testing.assert_array_equal(s.bending.outcome, [4, 0, 0, 0, 0, 2])

@@ -130,7 +130,6 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
     assert two["closed form"] > 0.1
 
 
-
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
     names = "beams", "posteriors", "jnds", "fits", "growth"
     kept = Path(__file__).parents[1] / "analyses" / "figures"
@@ -138,7 +137,6 @@ def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
     table = pd.concat(parts, ignore_index=True)
     assert faults(plots.speed_accuracy(table)) == []
     assert faults(plots.fits_and_growth(table)) == []
-
 
 
 def test_the_chain_of_links_converges_as_their_length_squared() -> None:

@@ -605,8 +605,8 @@ def _mixed(
     """Spans of a mixture over nodes of conditional distributions, given their quantiles.
 
     Between nodes ln of the evidence is interpolated by splines, and each quantile by cubics without
-    overshoot, as conditional distributions may have two modes; where nothing is known of a node, its
-    quantiles are those of the nearest.
+    overshoot, as conditional distributions may have two modes; where nothing is known of a node,
+    its quantiles are those of the nearest.
     """
     if not held.all():
         place = np.argwhere(held)

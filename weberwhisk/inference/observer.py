@@ -372,7 +372,6 @@ class Observer:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
         return self.space.unconstrain(contact)
 
-
     def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
         return self.space.angle_range(r)

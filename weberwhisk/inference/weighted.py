@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._values import Array, Flags, Index
 
@@ -34,7 +35,7 @@ class Leaves(NamedTuple):
     step: Array
     rows: Index
     first: Index
-    place: Index
+    place: NDArray[np.int32]
     log: Array
 
     @property
