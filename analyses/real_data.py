@@ -21,7 +21,6 @@ from weberwhisk.behaviour import (
     WeberFit,
     checks,
     compare_drift,
-    fit_population,
     load_numerosity,
     load_rat_auditory,
     quantile_residuals,
@@ -97,23 +96,6 @@ def by_standard(trials: Trials, shared: WeberFit) -> str:
     )
 
 
-def by_session(trials: Trials) -> str:
-    """What the sessions learn from one another, their lapses above all."""
-    found = fit_population(trials, sessions=True)
-    at = {name: found.interval(parameter=name) for name in found.parameters}
-    middle = {name: float(found.quantile(name, 0.5)) for name in found.parameters}
-    return (
-        "Fitted together (`fit_population`, with a bias, two lapses and a Weber fraction of each "
-        "session), the sessions learn their lapses from one another: on "
-        f"average {100 * middle['mean_lapse_low']:.0f} % of answers are lost at either end "
-        f"({100 * at['mean_lapse_low'][0]:.0f} to {100 * at['mean_lapse_low'][1]:.0f} %), the "
-        f"Weber fraction is {middle['weber_fraction']:.2g} per unit "
-        f"({at['weber_fraction'][0]:.2g} to {at['weber_fraction'][1]:.2g}) and varies between "
-        f"sessions by a factor of {np.exp(middle['session_spread']):.2f} as one sd "
-        f"({np.exp(at['session_spread'][0]):.2f} to {np.exp(at['session_spread'][1]):.2f})."
-    )
-
-
 def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
     whole = fit_weber(trials)
@@ -138,8 +120,6 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         markdown(checks(whole)),
         "",
         by_standard(trials, whole),
-        "",
-        by_session(trials),
         "",
         f"The same in blocks of {BLOCK} sessions, where the animal changes less:",
         "",

@@ -750,18 +750,6 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.once
-def test_fit_takes_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    course = ["--sessions", "2", "--trials-per-level", "12"]
-    answer(capsys, "simulate", *course, "--out", str(tmp_path / "s"))
-    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
-    known = ["--bias", "none"]
-    assert run_app(cli.app, ["fit", file, "--by-session", *known, "--out", str(out)]) == 0
-    assert "session_spread" in capsys.readouterr().out
-    assert json.loads((out / "fit.json").read_text())["status"] == "ONE_ANIMAL"
-    assert pd.read_csv(out / "sessions.csv")["session"].tolist() == [1, 2]
-
-
-@pytest.mark.once
 def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(cli.app, ["simulate", "--out", str(tmp_path)]) == 0
     capsys.readouterr()

@@ -16,7 +16,6 @@ from weberwhisk.behaviour import (
     CueEncoding,
     IdentityEncoding,
     PercentCorrect,
-    PopulationPriors,
     Priors,
     Trials,
     checks,
@@ -86,7 +85,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(effects=[Floor(prior=stats.norm())]), "floor must not reach below zero"),
     (fitted(priors=[1, 2]), r"priors must be Priors or a mapping, got \[1, 2\]"),
     (fitted(priors="flat"), "priors must be Priors or a mapping, got 'flat'"),
-    (fitted(priors=PopulationPriors()), "got an object of type PopulationPriors"),
     (fitted(priors={"lapse_low": stats.beta}), "must be a frozen continuous distribution"),
     (fitted(priors={"lapse_low": stats.bernoulli(0.1)}), "frozen continuous distribution"),
     (fitted(priors={"lapse_low": None}), "frozen continuous distribution, got None"),
@@ -94,12 +92,8 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(priors={"lapse_low": 0.6, "lapse_high": 0.6}), "must leave something"),
     (fitted(priors={"lapse_correlation": "high"}), "must be a number, got 'high'"),
     (lambda: Priors(effects=["a"]), "effects must be a mapping"),  # type: ignore[arg-type]
-    (lambda: PopulationPriors(spread=0.3), "spread must be a frozen continuous"),
-    (lambda: PopulationPriors(spread=stats.norm()), "spread must not reach below zero"),
-    (
-        lambda: fit_population(ANIMALS, population={"spread": 1}),  # type: ignore[arg-type]
-        "population must be PopulationPriors",
-    ),
+    (lambda: fit_population(ANIMALS, spread_prior=0.3), "spread must be a frozen continuous"),
+    (lambda: fit_population(ANIMALS, spread_prior=stats.norm()), "spread must not reach below"),
     (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
     # Encodings, observers, whiskers.
     (fitted(encoding="log"), r"got 'log'; write IdentityEncoding\(\)"),

@@ -20,7 +20,7 @@ from .fit import WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .located import simulate_moving, with_distances
 from .population_fit import PopulationFit, PopulationStatus, fit_population
-from .priors import PopulationPriors, Priors
+from .priors import Priors
 from .psychometric import (
     TASKS,
     PercentCorrect,
@@ -48,7 +48,6 @@ __all__ = [
     "PlaceEncoding",
     "PooledEncoding",
     "PopulationFit",
-    "PopulationPriors",
     "PopulationStatus",
     "Priors",
     "SignedChoice",

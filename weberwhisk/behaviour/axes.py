@@ -5,12 +5,6 @@ and a large one from the answers, over a width that shrinks with their number. T
 counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of N
 answers has an sd of 1/√N. Even nodes in t are then fine where they must be, and nowhere else.
 
-Biases count in sds of the difference between the two signals, which grow with k: PSEs that lie
-closer together than a prior expects speak for a small k, a little in one animal, and with every
-animal more. So a population's biases are those of the prior all times one factor, which is learnt.
-What a change of k does to all biases, the factor undoes: the pull is gone, whatever the prior's
-shape and also where the animals share a bias.
-
 The outer coordinates are the normal scores of k and of any effects; given these, every data set has
 a window in each lapse and in the score of every group's bias. All start as wide as the prior. A
 pass takes the posterior to a power below 1, under which the narrowest bump is as wide as the steps,
@@ -20,7 +14,6 @@ pass has a higher power and finer steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -30,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
-from scipy.stats import norm
 
 from .._values import Array
 from ..domain import FITTED_WEBER_FRACTIONS
@@ -38,7 +30,7 @@ from .priors import REACH, Priors, quantiles
 from .psychometric import Task
 
 if TYPE_CHECKING:
-    from .likelihood import Draws, WeberModel
+    from .likelihood import WeberModel
 
 
 @dataclass(frozen=True)
@@ -170,83 +162,6 @@ def log_score_prior(low: Array, high: Array, correlation: float) -> Array:
     square = free[0] * low**2 + free[1] * high**2 - 2 * rho * low * high
     norm = 0.5 * sum(free) * np.log(2 * np.pi) + 0.5 * np.log1p(-(rho**2))
     return np.asarray(-0.5 * square / (1 - rho**2) - norm)
-
-
-@dataclass(frozen=True)
-class BiasScales:
-    """Scales at which members are tabulated, and what lies between them.
-
-    `nodes` (S,) are even in asinh(scale / `unit`), where the unit is what a member's answers tell a
-    bias to. Log-likelihoods are even about a scale of zero.
-    """
-
-    nodes: Array
-    unit: float
-
-    @classmethod
-    def between(cls, low: float, high: float, unit: float, step: float = 0.35) -> BiasScales:
-        """Nodes over a range, from zero where that is close, so far apart in asinh(scale / unit):
-        by default log-likelihoods of one bias err by 1e-3 between them."""
-        first, last = np.arcsinh(low / unit), np.arcsinh(high / unit)
-        first = 0.0 if first < 2 * step else first
-        count = max(int(np.ceil((last - first) / step)), 3) + 1
-        return cls(unit * np.sinh(np.linspace(first, last, count)), unit)
-
-    def onto(self, scales: ArrayLike) -> Array:
-        """Share of every node in the value at other scales, (..., S): a cubic spline's."""
-        wanted = np.asarray(scales, dtype=float)
-        if self.nodes.size == 1:
-            return np.ones((*wanted.shape, 1))
-        at = np.arcsinh(self.nodes / self.unit)
-        first: Any = "clamped" if self.nodes[0] == 0 else "not-a-knot"
-        spline = CubicSpline(at, np.eye(at.size), bc_type=(first, "not-a-knot"))
-        return np.asarray(spline(np.arcsinh(wanted / self.unit)))
-
-
-#: Of biases that are known, or none.
-AS_BELIEVED = BiasScales(np.ones(1), 1.0)
-
-
-def scaled_prior(priors: Priors, bias: Array, step: Array, scales: Array) -> Array:
-    """Log prior mass (..., B, S) of nodes of a bias, of widths `step` (..., B), for each scale."""
-    sd = priors.moments("bias")[1]
-    # A density narrower than the step of the nodes cannot be seen on them.
-    width = np.maximum(scales, 0.8 * step[..., None] / sd)
-    density = priors.log_density("bias", bias[..., None] / width) - np.log(width)
-    return np.asarray(density + np.log(step)[..., None])
-
-
-def likely_scales(
-    models: Sequence[WeberModel],
-    draws: Sequence[Draws],
-    prior: Any,
-    *,
-    margin: float = 2.0,
-    likely: float = 20.0,
-    far: float = 1e-12,
-) -> BiasScales:
-    """Nodes over the scales that the members, each fitted alone, do not exclude.
-
-    Their biases are taken for normal here, which decides where the nodes lie and nothing else.
-    Scales `likely` nats under the best guess are left out, which may be off by a factor of
-    `margin`; beyond a share `far` of their prior they are not looked for.
-    """
-    priors = models[0].priors
-    if not any(model.free_bias for model in models):
-        return AS_BELIEVED
-    mean, sd = priors.moments("bias")
-    own = np.concatenate([d.bias.mean(axis=0) for d in draws])
-    variance = np.concatenate([d.bias.var(axis=0) for d in draws])
-    # A posterior no narrower than the prior says nothing.
-    precision = np.maximum(1 / variance - sd**-2, 1e-6 * sd**-2)
-    seen, noise = (own / variance - mean / sd**2) / precision, np.sqrt(1 / precision)
-    last = float(prior.isf(far))
-    unit = float(np.sqrt(variance.min()) / sd)
-    scales = BiasScales.between(0.0, last, unit, 0.1).nodes
-    log_density = norm.logpdf(seen, scales[:, None] * mean, np.hypot(scales[:, None] * sd, noise))
-    total = np.sum(log_density, axis=1)
-    kept = scales[total > total.max() - likely]
-    return BiasScales.between(kept[0] / margin, min(kept[-1] * margin, last), unit)
 
 
 # -- windows and steps ----------------------------------------------------------------------------

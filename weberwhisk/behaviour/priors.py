@@ -29,6 +29,7 @@ _WEBER = stats.lognorm(np.log(3.0), scale=0.1)
 _LAPSE = stats.beta(0.7, 20.0)
 _LAPSE_BY_LEVELS = stats.beta(0.5, 9.5)
 _BIAS = stats.norm(0.0, 1.0)
+SPREAD = stats.halfnorm(scale=0.5)  # of ln k between animals
 # "Different" must be said of a difference: a criterion below zero says it of everything.
 _SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
 
@@ -52,9 +53,8 @@ class Priors:
       squared error of ln k over a stated population of animals and designs, 0.28 over 2400 animals
       and 0.23 over 2400 held out, where Beta(0.3, 3) has 0.32 and 0.31 (`analyses/lapse_prior.md`);
       95 % intervals hold k in 93 and 96 %. Where one answer in ten is lost, k comes out a fifth too
-      high. `WeberFit.lapse_sensitivity` shows how far a fit hangs on it; animals or sessions fitted
-      together (`fit_population`) learn their lapses from each other. State what you know of the
-      animal.
+      high. `WeberFit.lapse_sensitivity` shows how far a fit depends on it. State what you know of
+      the animal.
     - `bias`: standard normal in sds of the difference between the two signals. The proportion of
       "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
       `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
@@ -181,46 +181,6 @@ class Priors:
             return f"fixed at {float(prior):g}"
         about = " about the levels shown" if getattr(prior, "about_levels", False) else ""
         return in_words(prior) + about
-
-
-@dataclass(frozen=True, eq=False)
-class PopulationPriors:
-    """Prior beliefs about a population: frozen SciPy distributions.
-
-    - `spread`: standard deviation of ln k between animals: half-normal of 0.5. Two animals of a
-      spread of 0.5 differ by a factor of 1.8.
-    - `session_spread`: the same between sessions of one animal: half-normal of 0.3.
-    - `lapse_mean`, `lapse_spread`: mean and standard deviation over the animals of the normal
-      scores of their lapses, where (0, 1) is the prior of a single fit. Standard normal, and
-      log-normal with median 0.7 and a factor of 1.6 either way.
-    - `bias_scale`: factor by which the biases of the animals (and of their sessions and standards)
-      are wider than in the prior of a single fit, half-normal of 1. With that prior's default, a
-      standard normal, it is the sd of the biases.
-
-    The prior of the population's median Weber fraction is that of a single fit.
-
-    Examples
-    --------
-    >>> round(float(PopulationPriors().spread.mean()), 2)
-    0.4
-    >>> wide = PopulationPriors(spread=stats.halfnorm(scale=1.0))
-    """
-
-    spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.5))
-    session_spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.3))
-    lapse_mean: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
-    lapse_spread: Any = field(default_factory=lambda: stats.lognorm(0.5, scale=0.7))
-    bias_scale: Any = field(default_factory=lambda: stats.halfnorm(scale=1.0))
-
-    def __post_init__(self) -> None:
-        for name in ("spread", "session_spread", "lapse_mean", "lapse_spread", "bias_scale"):
-            check_distribution(name, getattr(self, name))
-            low = float(getattr(self, name).support()[0])
-            if low < 0 and name != "lapse_mean":
-                raise ValueError(
-                    f"the prior of {name} must not reach below zero, got support from {low:g}; "
-                    "give for example scipy.stats.halfnorm(scale=0.5)."
-                )
 
 
 @lru_cache(maxsize=256)

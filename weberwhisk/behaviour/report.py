@@ -100,8 +100,7 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
         lines.append(
             "What is believed about lapses moves the Weber fraction: by "
             f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
-            "lapses to one that never does. Easy trials, or more sessions or animals fitted "
-            "together, tell the lapses."
+            "lapses to one that never does. Easy trials tell the lapses."
         )
     if fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber":
         lines.append(
@@ -162,11 +161,6 @@ def _instead(fit: WeberFit) -> str:
     ]
     if fit.model.task.has_bias and fit.bias == "shared" and fit.standards.size > 1:
         ways.append('fit bias="per standard"')
-    if len(fit.trials.sessions) > 1:
-        ways.append(
-            "let the sessions learn their lapses from one another, "
-            "fit_population(trials, sessions=True)"
-        )
     return f"{'; or '.join(ways)}; the other method would give up as well"
 
 
@@ -340,46 +334,36 @@ def _of_one(fit: WeberFit) -> list[str]:
         )
     if fit.effects:
         said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
-    believed, lapses = fit.model.priors, trials.task.lapses
+    return [*said, _priors(fit), _how(fit.method), f"The fit's status: {fit.status.name}."]
+
+
+def _priors(fit: WeberFit, *more: str) -> str:
+    """Every parameter with its prior, in a sentence."""
+    believed, task = fit.model.priors, fit.trials.task
     correlated = ""
-    if len(lapses) == 2 and not any(believed.is_fixed(name) for name in lapses):
+    if len(task.lapses) == 2 and not any(believed.is_fixed(name) for name in task.lapses):
         rho = believed.lapse_correlation
         correlated = f"; the normal scores of the two lapse rates correlate by {rho:g}"
     priors = [f"{name} ~ {believed.words(name)}" for name in fit.parameters]
-    given = {n: n for n in fit.model.lead if not n.startswith("lapse_") or n in lapses}
-    given |= {"bias": trials.task.bias_name or ""} if fit.bias != "none" else {}
+    given = {n: n for n in fit.model.lead if not n.startswith("lapse_") or n in task.lapses}
+    given |= {"bias": task.bias_name or ""} if fit.bias != "none" else {}
     priors += [f"{name} {believed.words(n)}" for n, name in given.items() if believed.is_fixed(n)]
-    said.append(f"Parameters and priors: {', '.join(priors)}{correlated}.")
-    return [*said, _how(fit.method), f"The fit's status: {fit.status.name}."]
+    return f"Parameters and priors: {', '.join([*priors, *more])}{correlated}."
 
 
 def _of_many(fit: PopulationFit) -> list[str]:
     status = f"The fit's status: {fit.status.name}."
     if fit.population is None:
         return [*fit.notes, status]
-    own = fit.subjects if fit.sessions is None else fit.sessions
-    used = own[own["weber_fraction"].notna()]
-    one, believed = next(iter(fit.fits.values())), fit.believed
-    levels = "" if fit.sessions is None else f" and {_counted(len(used), 'session')}"
-    lapses = ", and so are the normal scores of lapse rates" if fit.lapses else ""
-    priors = [f"{name} ~ {believed.words(name)}" for name in ("weber_fraction", *fit.lapses)]
-    known = [name for name in one.model.lapse_names if name not in fit.lapses]
-    if "bias_scale" in fit.parameters:
-        priors.append(f"{one.model.task.bias_name} ~ {believed.words('bias')} times bias_scale")
-    elif one.bias != "none":
-        known.append("bias")
-    priors += [f"{name} {believed.words(name)}" for name in known]
-    of_all = ["spread", *["session_spread"] * (fit.sessions is not None)]
-    of_all += ["lapse_mean", "lapse_spread"] * bool(fit.lapses)
-    of_all += ["bias_scale"] * ("bias_scale" in fit.parameters)
-    priors += [f"{name} ~ {in_words(getattr(fit.priors, name))}" for name in of_all]
+    used = fit.subjects[fit.subjects["weber_fraction"].notna()]
+    one = next(iter(fit.fits.values()))
     return [
         f"A hierarchical model was fitted to {_counted(int(used['n'].sum()), 'trial')} of the task "
-        f"{one.trials.task.name}, of {_counted(used['subject'].nunique(), 'animal')}{levels}: ln k "
-        f"is normal between animals, each learning from the others (partial pooling){lapses}.",
+        f"{one.trials.task.name}, of {_counted(len(used), 'animal')}: ln k is normal between "
+        "animals, each learning from the others (partial pooling).",
         *fit.notes,
         _encoded(one.encoding, _NOISE[one.noise]),
-        f"Parameters and priors: {', '.join(priors)}.",
+        _priors(one, f"spread ~ {in_words(fit.spread_prior)}"),
         _how("quadrature"),
         status,
     ]

@@ -46,7 +46,6 @@ AS_OPTIONS = (
      r"--lapse-prior \1,\2"),
     (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
     (r"\(priors=\)", "(--lapse-prior)"),
-    (r"fit_population\(trials, sessions=True\)", "--by-session"),
 )  # fmt: skip
 
 
@@ -103,9 +102,6 @@ def fit(
         "the whisker).",
     ] = None,
     together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
-    by_session: Annotated[
-        bool, "As --together, and every session has its own Weber fraction."
-    ] = False,
     method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
@@ -130,7 +126,6 @@ def fit(
     inputs = opt.as_asked(locals())
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
-    together = together or by_session
     trials = _selected(trials, subject, session, together)
     if encoding is not None:
         _refuse_metres(trials, encoding)
@@ -150,10 +145,7 @@ def fit(
                 "--together fits the plain observer, by quadrature; leave --effect, --compare and "
                 "--method out."
             )
-        options = {
-            "sessions": by_session, "encoding": encoding, "bias": bias, "noise": noise,
-            "priors": priors,
-        }  # fmt: skip
+        options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
         _fit_together(trials, options, inputs, seed, out, as_json)
         return
     effects = [effect_named(name) for name in effect or ()]
@@ -277,8 +269,6 @@ def _fit_together(
         except ValueError as error:
             raise ValueError(_as_options(str(error))) from None
         run.table("subjects", found.subjects)
-        if found.sessions is not None:
-            run.table("sessions", found.sessions)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
@@ -289,7 +279,7 @@ def _fit_together(
         print(found.to_json())
         return
     tables = {"summary": None if found.population is None else found.summary()}
-    tables |= {"sessions": found.sessions, "subjects": found.subjects}
+    tables |= {"subjects": found.subjects}
     words = [
         f"\n{table.to_string(index=name == 'summary', float_format='{:.3g}'.format)}"
         for name, table in tables.items()

@@ -486,7 +486,7 @@ def _as_fitted(h: Hypothesis, together: bool) -> str:
     call = f"with {', '.join(options)}; on the command line --bias '{h.bias}'"
     fitted = (
         f"All animals are fitted together (weberwhisk.fit_population {call}), which learns how "
-        "their Weber fractions, lapses and biases spread"
+        "their Weber fractions spread"
         if together
         else f"Each animal is fitted by itself by quadrature (weberwhisk.fit_weber {call})"
     )
