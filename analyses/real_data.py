@@ -20,13 +20,12 @@ from weberwhisk.behaviour import (
     Trials,
     WeberFit,
     checks,
-    compare_drift,
     load_numerosity,
     load_rat_auditory,
     quantile_residuals,
     residuals_by,
 )
-from weberwhisk.behaviour.effects import Contraction, History, PastContraction
+from weberwhisk.behaviour.effects import Contraction, Drift, History
 
 BLOCK = 5  # sessions fitted together
 
@@ -70,13 +69,12 @@ def by_block(trials: Trials) -> pd.DataFrame:
 
 
 def observers(trials: Trials) -> Comparison:
-    """What else moves the rat: contraction to the mean of all or past sounds, its last answer."""
+    """What else moves the rat: contraction to the mean of all sounds, its last answer."""
     return compare(
         {
             "sounds alone": fit_weber(trials),
             "a bias per standard": fit_weber(trials, bias="per standard"),
             "contraction": fit_weber(trials, effects=[Contraction()]),
-            "contraction to the past": fit_weber(trials, effects=[PastContraction()]),
             "history": fit_weber(trials, effects=[History()]),
         }
     )
@@ -100,7 +98,13 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
     whole = fit_weber(trials)
     blocks = by_block(trials)
-    drift = compare_drift(trials, priors={"bias": 0.0})
+    known = {"bias": 0.0}
+    drift = compare(
+        {
+            "stationary": fit_weber(trials, priors=known),
+            "drifting": fit_weber(trials, priors=known, effects=[Drift()]),
+        }
+    )
     late = trials.select(session=trials.sessions[-10:])
     which = observers(late)
     columns = ["log_bayes_factor", "elpd_difference", "difference_se", "bad_k"]

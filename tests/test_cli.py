@@ -579,7 +579,6 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
         ["--cue", "moment", "--deflection-angle-deg", "5"],
         ["--cue", "fused"],
         ["--receptors", "log-normal"],
-        ["--receptors", "near-miss=0.7"],
         ["--receptors", "floor=0.05"],
         ["--receptors", "saturating=2"],
     ],
@@ -611,15 +610,15 @@ def test_choices_by_angles_are_simulated_and_not_fitted(
 def test_effects_are_simulated_and_fitted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moved = ["--effect", "past-contraction=20:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
+    moved = ["--effect", "contraction:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
     moved += ["--seed", "2"]
     assert run_app(cli.app, ["simulate", *moved, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out.splitlines()[-1]
-    assert said.endswith(" --effect past-contraction=20")
-    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"past_contraction": 0.4}
+    assert said.endswith(" --effect contraction")
+    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"contraction": 0.4}
     again = said.removeprefix("Fit them with: weberwhisk ").split()
     assert run_app(cli.app, [*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["parameters"]["past_contraction"]
+    found = json.loads(capsys.readouterr().out)["parameters"]["contraction"]
     assert found["lower"] < 0.4 < found["upper"]
 
 
@@ -729,8 +728,8 @@ def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
     believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
     assert believed.endswith("about the levels shown")
     assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
-    moved = answer(capsys, "fit", file, "--effect", "near-miss", "--lapse-prior", "1,20")
-    assert moved["settings"]["effects"] == ["exponent"]  # type: ignore[index]
+    moved = answer(capsys, "fit", file, "--effect", "floor", "--lapse-prior", "1,20")
+    assert moved["settings"]["effects"] == ["floor"]  # type: ignore[index]
     law = answer(capsys, "fit", file, "--compare", "law")
     assert len(law["comparison"]["rows"]) == 2  # type: ignore[index]
 

@@ -289,67 +289,6 @@ def test_heavy_import_is_found(tmp_path: Path, name: str) -> None:
     assert name in heavy_after_import(_fake(tmp_path, {"__init__.py": f"import {name}"}))
 
 
-def test_old_names_of_encodings_and_studies_work_for_a_release() -> None:
-    import weberwhisk as ww
-    from weberwhisk import behaviour, design
-    from weberwhisk.behaviour import encodings, psychometric
-
-    for name in ("decision_variable", "difference_sd"):
-        with pytest.warns(DeprecationWarning, match=f"psychometric.{name}"):
-            assert getattr(encodings, name) is getattr(psychometric, name)
-    for module, renamed in (
-        (behaviour, {"Percept": "Encoding", "CuePercept": "CueEncoding"}),
-        (behaviour, {f"{n}Percept": f"{n}Encoding" for n in ("Identity", "Log", "LogAxis")}),
-        (design, {"Rehearsal": "SimulatedStudy", "rehearse": "simulate_study"}),
-        (ww, {"rehearse": "simulate_study"}),
-        (behaviour.effects, {"NearMiss": "NearMissExponent"}),
-    ):
-        for old, new in renamed.items():
-            with pytest.warns(DeprecationWarning, match=new):
-                assert getattr(module, old) is getattr(module, new)
-
-    trials, one = ww.simulate_trials(seed=1), behaviour.LogAxisEncoding()
-    calls = (
-        lambda **how: ww.fit_weber(trials, **how).encoding,
-        lambda **how: design.Hypothesis("a", **how).encoding,
-        lambda **how: design.noises(standards=[1.0, 2.0], **how)[0].encoding,
-        lambda **how: design.lattice(standards=1.0, **how).offsets,
-        lambda **how: design.Scheme.spaced(standards=[1.0], **how).offsets,
-        lambda **how: ww.simulate_trials(seed=1, **how).scale,
-        lambda **how: behaviour.threshold(
-            ww.behaviour.task_named("2AFC"), standard=1.0, proportion=0.7, weber_fraction=0.1, **how
-        ),
-    )
-    for number, call in enumerate(calls):
-        encoding = behaviour.IdentityEncoding() if number == 2 else one
-        with pytest.warns(DeprecationWarning, match="encoding="):
-            old = call(percept=encoding)
-        assert old == call(encoding=encoding)
-
-    hypothesis = design.Hypothesis("a", one)
-    for owner in (hypothesis, ww.fit_weber(trials)):
-        with pytest.warns(DeprecationWarning, match="encoding"):
-            assert owner.percept is owner.encoding
-    with pytest.warns(DeprecationWarning, match="sd_per_weber_fraction"):
-        assert one.unit_sd([3.0]) == [1.0]
-
-
-def test_an_encoding_written_before_0_2_is_still_used() -> None:
-    from weberwhisk import fit_weber, simulate_trials
-    from weberwhisk.behaviour import IdentityEncoding
-
-    class Twice(IdentityEncoding):
-        def unit_sd(self, stimulus):
-            return 2 * super().sd_per_weber_fraction(stimulus)
-
-    trials = simulate_trials(seed=1)
-    with pytest.warns(DeprecationWarning, match="unit_sd"):
-        halved = fit_weber(trials, encoding=Twice())
-    beside = fit_weber(trials)
-    assert halved.log_evidence != beside.log_evidence
-    assert abs(halved.weber_fraction / beside.weber_fraction - 0.5) < 0.05
-
-
 def _fake(folder: Path, files: dict[str, str]) -> Path:
     """A package tree with an empty module for every place that the sources may name."""
     package = folder / "weberwhisk"

@@ -113,7 +113,7 @@ if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
 
 
-_RENAMED = {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"}
+_RENAMED = {"Rung": "Model", "choose_rung": "choose_model"}
 
 
 def _version() -> str:

@@ -4,15 +4,7 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 `fit_weber` makes a `WeberFit` of them.
 """
 
-from .._values import renamed_names
-from .comparison import (
-    Comparison,
-    compare,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
-)
+from .comparison import Comparison, compare
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
@@ -57,10 +49,6 @@ __all__ = [
     "WeberLawTest",
     "checks",
     "compare",
-    "compare_cues",
-    "compare_drift",
-    "compare_noise",
-    "compare_taper",
     "fit_population",
     "fit_weber",
     "load_numerosity",
@@ -78,14 +66,3 @@ __all__ = [
     "weber_law_test",
     "with_distances",
 ]
-
-__getattr__ = renamed_names(
-    __name__,
-    {
-        "CuePercept": "CueEncoding",
-        "IdentityPercept": "IdentityEncoding",
-        "LogAxisPercept": "LogAxisEncoding",
-        "LogPercept": "LogEncoding",
-        "Percept": "Encoding",
-    },
-)

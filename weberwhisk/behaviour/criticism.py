@@ -226,7 +226,7 @@ class _Rows:
         if sessions is not None and sessions.max() > 0:
             out["sessions"] = (
                 lambda off, spread: _squares(off, spread, sessions).mean(axis=1),
-                "the effect Drift or Step, or fewer sessions",
+                "the effect Drift, or fewer sessions",
             )
         if (self.n == 1).all() and self.n.size > 2 and in_order(self.frame):
             course = np.linspace(-1, 1, self.n.size)

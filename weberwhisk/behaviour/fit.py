@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, Shown, interval_text, renamed_arguments, renamed_attribute
+from .._values import Array, Shown, interval_text
 from ..inference.arviz_io import ArvizData
 from ..threads import one_blas_thread
 from . import criticism, report
@@ -61,8 +61,6 @@ class WeberFit(Shown):
     posterior: WeberPosterior = field(repr=False)
     status: FitStatus
     notes: tuple[str, ...] = ()
-
-    percept = renamed_attribute("WeberFit", "percept", "encoding")
 
     @property
     def weber_fraction(self) -> float:
@@ -343,7 +341,6 @@ def _quantiles(sample: Array, at: Array) -> Array:
     return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
 
 
-@renamed_arguments(percept="encoding")
 @one_blas_thread
 def fit_weber(
     trials: Trials,
@@ -376,8 +373,8 @@ def fit_weber(
     noise : {"weber", "equal-variance"}
         The sd of each interval's own stimulus, or the textbook form with that of the standard.
     effects : sequence of Effect
-        What else may move the answers, a parameter each: a floor, near-miss exponent, drift over
-        sessions, history, contraction, overdispersion; see `weberwhisk.behaviour.effects`.
+        What else may move the answers, a parameter each: a floor, drift over sessions, history,
+        contraction, overdispersion; see `weberwhisk.behaviour.effects`.
     priors : Priors or mapping, optional
         Frozen SciPy distributions, or numbers for what is known, by parameter:
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from .. import _checks
-from .._values import Array, renamed_arguments
+from .._values import Array
 from .effects import Effect, check_valued
 from .encodings import (
     Encoding,
@@ -232,7 +232,6 @@ def task_named(name: str) -> Task:
     return TASKS[_checks.one_of("task", name, TASKS)]
 
 
-@renamed_arguments(percept="encoding")
 def response_probability(
     task: Task,
     encoding: Encoding,
@@ -338,7 +337,6 @@ def check_proportion(task: Task, proportion: float) -> float:
     return value
 
 
-@renamed_arguments(percept="encoding")
 def threshold(
     task: Task,
     encoding: Encoding,
@@ -445,7 +443,6 @@ def _ladder(encoding: Encoding, standard: float, sign: int) -> Array:
     return standard + sign * size * np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 258)])
 
 
-@renamed_arguments(percept="encoding")
 def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: ArrayLike) -> Array:
     """Difference between the two encodings in its own sds, for a Weber fraction of 1."""
     s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
@@ -453,7 +450,6 @@ def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: Array
     return gap / np.hypot(encoding.sd_per_weber_fraction(s), encoding.sd_per_weber_fraction(c))
 
 
-@renamed_arguments(percept="encoding")
 def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
     """Offset that moves the difference between the two signals by one of its sds, for k = 1.
 

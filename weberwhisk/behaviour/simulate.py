@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from .. import _checks
-from .._values import Array, renamed_arguments
+from .._values import Array
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,
@@ -33,7 +33,6 @@ ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
 
 
-@renamed_arguments(percept="encoding")
 def simulate_trials(
     *,
     weber_fraction: ArrayLike = 0.1,
@@ -90,8 +89,7 @@ def simulate_trials(
         `weberwhisk.behaviour.effects`.
     order : {"standard first", "random"}
         "random": in every other trial of each pair the comparison is stimulus 1. Only then is the
-        order effect (the `bias`) distinguished from a preference for the comparison
-        (`effects.ComparisonBias`).
+        order effect (the `bias`) distinguished from a preference for the comparison.
     sessions : int
         The trials are dealt out evenly over this many sessions.
     subject : str, optional
@@ -309,7 +307,6 @@ def responses(
     return answer
 
 
-@renamed_arguments(percept="encoding")
 def simulate_population(
     subjects: int,
     *,
@@ -420,7 +417,6 @@ def _rounded(values: Array) -> Array:
 TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 
 
-@renamed_arguments(percept="encoding")
 def simulate_responses(
     table: pd.DataFrame,
     animals: pd.DataFrame,

@@ -12,19 +12,12 @@ import weberwhisk as ww
 from .. import _checks
 from .. import commands as opt
 from .._values import pd
-from ..behaviour import (
-    CueEncoding,
-    FitStatus,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
-    with_distances,
-)
-from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
+from ..behaviour import CueEncoding, Encoding, FitStatus, with_distances
+from ..behaviour.effects import EFFECTS, Effect, effect_named
 from ..behaviour.trials import in_millimetres
 from ..cli import numbers
 from ..contacts.files import load_table
+from ..design import cues, noises, taper
 from ..output import Run, atomic_write, to_json
 from .choices import distance_encoding
 
@@ -81,7 +74,7 @@ def fit(
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
         opt.Texts,
-        f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be repeated.",
+        f"What else moves the answers: {', '.join(EFFECTS)}; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     lapse_prior: Annotated[
@@ -97,9 +90,8 @@ def fit(
     ] = None,
     comparison: Annotated[
         opt.Text,
-        "Other observers beside the one fitted: noise (Weber, with a floor, constant), drift "
-        "(stationary or learning), law (one Weber fraction or one a standard), taper or cues (of "
-        "the whisker).",
+        "Other observers beside the one fitted: law (one Weber fraction or one a standard), noise "
+        "(Weber's or constant), taper or cues (of the whisker), or an effect.",
     ] = None,
     together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
     method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
@@ -159,7 +151,7 @@ def fit(
         answer = result.to_dict()
         report = _as_options(result.report())
         if comparison is not None:
-            table, verdict = compared(comparison, result, whisker, priors)
+            table, verdict = compared(comparison, result, whisker)
             run.table("comparison", table)
             answer["comparison"] = {"rows": table.to_dict(orient="records"), "verdict": verdict}
             report += f"\nComparison.\n{verdict}\n"
@@ -176,37 +168,39 @@ def fit(
 
 
 def compared(
-    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None, priors: dict[str, Any] | None
+    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None
 ) -> tuple[pd.DataFrame, str]:
-    """A table and a verdict on the trials of a fit, with its encoding, bias, noise, effects and
-    priors."""
-    _checks.one_of("--compare", name, ("noise", "drift", "law", "taper", "cues"))
-    trials = fit.trials
-    options: dict[str, Any] = {
-        "bias": fit.bias, "priors": priors, "noise": fit.noise, "effects": fit.model.effects,
-    }  # fmt: skip
+    """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
+    _checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":
         test = fit.weber_law_test()
         return test.by_standard, test.report()
-    if name in ("noise", "drift"):
-        compare = compare_noise if name == "noise" else compare_drift
-        found = compare(trials, encoding=fit.encoding, **options)
+
+    def fitted(encoding: Encoding, *more: Effect) -> ww.WeberFit:
+        return ww.fit_weber(
+            fit.trials, encoding=encoding, bias=fit.bias, noise=fit.noise,
+            effects=[*fit.model.effects, *more], priors=fit.model.priors,
+        )  # fmt: skip
+
+    if name in EFFECTS:
+        found = ww.compare({f"without {name}": fit, name: fitted(fit.encoding, EFFECTS[name])})
         return found.table.reset_index(), found.report()
-    if whisker is None or not isinstance(fit.encoding, CueEncoding):
+    if name == "noise":
+        given = noises(fit.encoding, fit.standards)
+    elif whisker is None or not isinstance(fit.encoding, CueEncoding):
         raise ValueError(
             f"--compare {name} needs a whisker, got none; write --identity C2, or a shape."
         )
-    options |= {"unit": fit.encoding.unit}
-    if name == "taper":
-        found = compare_taper(trials, whisker, **options)
+    elif name == "taper":
+        given = taper(whisker, unit=fit.encoding.unit)
+    elif (angle := fit.encoding.deflection_angle) is None:
+        raise ValueError(
+            "--compare cues needs the deflection angle of the contacts; write --cue force-map "
+            "--deflection-angle-deg 10, say."
+        )
     else:
-        angle = fit.encoding.deflection_angle
-        if angle is None:
-            raise ValueError(
-                "--compare cues needs the deflection angle of the contacts; write --cue force-map "
-                "--deflection-angle-deg 10, say."
-            )
-        found = compare_cues(trials, whisker, deflection_angle=angle, **options)
+        given = cues(whisker, angle, unit=fit.encoding.unit)
+    found = ww.compare({h.name: fitted(h.encoding) for h in given})
     return found.table.reset_index(), found.report()
 
 

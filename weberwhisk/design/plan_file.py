@@ -96,16 +96,6 @@ KINDS = {
     "LogAxisEncoding|ConstantNoise",
     "prior": "number|distribution",
 }
-#: Names in plans that were written before they had others.
-OLD = {
-    "Animals": "SubjectPopulation",
-    "CuePercept": "CueEncoding",
-    "IdentityPercept": "IdentityEncoding",
-    "LogPercept": "LogEncoding",
-    "LogAxisPercept": "LogAxisEncoding",
-    "percept": "encoding",
-    "signals": "signal_names",
-}
 KIND = "is"  # the key that says which noun a mapping is
 
 
@@ -149,14 +139,10 @@ def decode(value: Any) -> Any:
         return [decode(item) for item in value]
     if not isinstance(value, dict):
         return value
-    parts = {str(OLD.get(name, name)): decode(v) for name, v in value.items() if name != KIND}
+    parts = {name: decode(v) for name, v in value.items() if name != KIND}
     if KIND not in value:
         return parts
-    name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
-    for late in {"Whisker": ("hinge_stiffness", "identity"), "Observer": ("model",)}.get(
-        str(name), ()
-    ):
-        parts.setdefault(late, None)  # of plans that were written before there was one
+    name = value[KIND]
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)
