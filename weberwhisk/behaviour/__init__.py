@@ -10,22 +10,16 @@ from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
 from .fit import WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
+from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
+from .methods import methods_paragraph
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import Priors
-from .psychometric import (
-    TASKS,
-    PercentCorrect,
-    SignedChoice,
-    Task,
-    response_probability,
-    task_named,
-    threshold,
-)
-from .report import methods_paragraph
+from .psychometric import response_probability, threshold
 from .simulate import simulate_population, simulate_trials
+from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
-from .verdict import FitStatus, WeberLawTest, weber_law_test
+from .verdict import FitStatus
 
 __all__ = [
     "TASKS",

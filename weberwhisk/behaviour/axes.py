@@ -1,9 +1,4 @@
-"""The axes of the integrator: coordinates of lapses and biases, and where posteriors lie on them.
-
-In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of 1,
-and a large one from the answers, over a width that shrinks with their number. The coordinate t
-counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of N
-answers has an sd of 1/√N. Even nodes in t are then fine where they must be, and nowhere else.
+"""The axes of the integrator, and where posteriors lie on them.
 
 The outer coordinates are the normal scores of k and of any effects; given these, every data set has
 a window in each lapse and in the score of every group's bias. All start as wide as the prior. A
@@ -17,68 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import cumulative_simpson
-from scipy.interpolate import CubicSpline
+from numpy.typing import NDArray
 
 from .._values import Array
 from ..domain import FITTED_WEBER_FRACTIONS
-from .priors import REACH, Priors, quantiles
-from .psychometric import Task
-
-if TYPE_CHECKING:
-    from .likelihood import WeberModel
-
-
-@dataclass(frozen=True)
-class LapseTransform:
-    """A variance-stabilising coordinate t of a normal score z; z itself without `to_score`."""
-
-    to_score: Any = None
-    to_coordinate: Any = None
-    ends: tuple[float, float] = (-REACH, REACH)
-
-    def score(self, t: ArrayLike) -> Array:
-        """z at t."""
-        t = np.asarray(t, dtype=float)
-        return t if self.to_score is None else self.to_score(_within(t, *self.ends))
-
-    def coordinate(self, z: ArrayLike) -> Array:
-        """t at z."""
-        z = np.asarray(z, dtype=float)
-        return z if self.to_score is None else self.to_coordinate(_within(z, -REACH, REACH))
-
-    def slope(self, t: ArrayLike) -> Array:
-        """dz/dt at t."""
-        t = np.asarray(t, dtype=float)
-        if self.to_score is None:
-            return np.ones(t.shape)
-        return self.to_score(_within(t, *self.ends), 1)
-
-
-def _within(values: Array, low: float, high: float) -> Array:
-    return np.minimum(np.maximum(values, low), high)  # half of what np.clip costs
-
-
-PLAIN = LapseTransform()
-
-
-def lapse_transform(prior: Any, answers: float) -> LapseTransform:
-    """The coordinate for a lapse with that prior, and so many answers to learn it from."""
-    return _transform(prior, int(np.round(np.log2(max(answers, 1.0)))))
-
-
-@lru_cache(maxsize=256)
-def _transform(prior: Any, doublings: int) -> LapseTransform:
-    z = np.linspace(-REACH, REACH, 1441)
-    arc = CubicSpline(z, 2 * np.arcsin(np.sqrt(np.clip(quantiles(prior)(z), 0.0, 1.0))))
-    density = np.sqrt(1 + 2.0**doublings * arc(z, 1) ** 2)
-    t = cumulative_simpson(density, x=z, initial=0.0)
-    t = t - t[z.size // 2]
-    return LapseTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
+from .likelihood import WeberModel
+from .priors import REACH, Priors
+from .tasks import Task
 
 
 def score_prior(axis: Array) -> Array:

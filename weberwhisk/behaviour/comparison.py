@@ -17,7 +17,8 @@ from scipy.special import logsumexp
 from .. import _checks
 from .._values import Array, Index, Shown
 from ..inference.arviz_io import pointwise_loo
-from .criticism import _Rows, check_fit
+from .criticism import _Rows
+from .estimates import check_fit
 from .fit import WeberFit
 from .trials import SDS
 from .verdict import strength

@@ -13,7 +13,6 @@ from scipy.special import gammaln
 
 from .. import _checks
 from .._values import Array, Index
-from .axes import PLAIN, LapseTransform, lapse_transform
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
     Encoding,
@@ -25,8 +24,8 @@ from .encodings import (
     unit_encodings,
 )
 from .located import binned, over_places
-from .priors import TINY, Priors, priors_for
-from .psychometric import Task
+from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
+from .tasks import Task
 from .trials import Cells, Trials, check_trials
 
 BIASES = ("none", "shared", "per standard")

@@ -17,12 +17,13 @@ from .._values import Array, Shown, interval_text
 from ..inference.arviz_io import ArvizData, to_arviz
 from ..output import plain
 from ..threads import one_blas_thread
-from . import report
-from .fit import WeberFit, fit_weber, tails
+from .estimates import tails
+from .fit import WeberFit, fit_weber
 from .hierarchy import Population, integrate_population
 from .integrate.batch import of_fraction
 from .likelihood import encoding_of, pairs_shown
 from .priors import SPREAD, Priors, check_distribution, priors_for
+from .report import sentence
 from .trials import Trials, check_trials
 from .verdict import FitStatus
 
@@ -130,7 +131,21 @@ class PopulationFit(Shown):
 
     def report(self) -> str:
         """What the animals say together, and each of them, in words."""
-        return report.population_report(self)
+        lines = [sentence(self.status.value)]
+        if self.population is not None:
+            for name in self.parameters:
+                low, high = self.interval(parameter=name)
+                middle = float(self.quantile(name, 0.5))
+                words = {"weber_fraction": "median Weber fraction"}.get(name, name)
+                lines.append(f"Population, {words}: {interval_text(middle, low, high)}.")
+        for row in self.subjects.to_dict("records"):
+            k = "left out"
+            if row["weber_fraction"] == row["weber_fraction"]:
+                k = f"k = {interval_text(row['weber_fraction'], row['lower'], row['upper'])}"
+                alone = interval_text(row["alone"], row["alone_lower"], row["alone_upper"])
+                k += f"; from its own trials alone {alone}"
+            lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
+        return "\n".join([*lines, *self.notes]) + "\n"
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use the fit, ready for JSON."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
+from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
@@ -17,7 +18,7 @@ from .. import _checks
 from .._values import Array
 from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
-from .psychometric import SameDifferent, Task, YesNo
+from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
@@ -209,6 +210,60 @@ def quantiles(prior: Any) -> Any:
     return lambda score: np.exp(log_value(score))
 
 
+@dataclass(frozen=True)
+class LapseTransform:
+    """A variance-stabilising coordinate t of a normal score z; z itself without `to_score`.
+
+    In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of
+    1, and a large one from the answers, over a width that shrinks with their number. The coordinate
+    counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of
+    N answers has an sd of 1/√N. Even nodes in t are then fine where they must be.
+    """
+
+    to_score: Any = None
+    to_coordinate: Any = None
+    ends: tuple[float, float] = (-REACH, REACH)
+
+    def score(self, t: ArrayLike) -> Array:
+        """z at t."""
+        t = np.asarray(t, dtype=float)
+        return t if self.to_score is None else self.to_score(_within(t, *self.ends))
+
+    def coordinate(self, z: ArrayLike) -> Array:
+        """t at z."""
+        z = np.asarray(z, dtype=float)
+        return z if self.to_score is None else self.to_coordinate(_within(z, -REACH, REACH))
+
+    def slope(self, t: ArrayLike) -> Array:
+        """dz/dt at t."""
+        t = np.asarray(t, dtype=float)
+        if self.to_score is None:
+            return np.ones(t.shape)
+        return self.to_score(_within(t, *self.ends), 1)
+
+
+def _within(values: Array, low: float, high: float) -> Array:
+    return np.minimum(np.maximum(values, low), high)  # half of what np.clip costs
+
+
+PLAIN = LapseTransform()
+
+
+def lapse_transform(prior: Any, answers: float) -> LapseTransform:
+    """The coordinate for a lapse with that prior, and so many answers to learn it from."""
+    return _transform(prior, int(np.round(np.log2(max(answers, 1.0)))))
+
+
+@lru_cache(maxsize=256)
+def _transform(prior: Any, doublings: int) -> LapseTransform:
+    z = np.linspace(-REACH, REACH, 1441)
+    arc = CubicSpline(z, 2 * np.arcsin(np.sqrt(np.clip(quantiles(prior)(z), 0.0, 1.0))))
+    density = np.sqrt(1 + 2.0**doublings * arc(z, 1) ** 2)
+    t = cumulative_simpson(density, x=z, initial=0.0)
+    t = t - t[z.size // 2]
+    return LapseTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
+
+
 def check_distribution(name: str, prior: Any) -> None:
     """Refuses what is not a frozen continuous distribution."""
     if isinstance(prior, type) or not (hasattr(prior, "dist") and hasattr(prior.dist, "pdf")):
@@ -246,7 +301,7 @@ def levels_prior(
     Examples
     --------
     >>> pair = UnitEncodings(np.ones(1), np.ones(1), np.array([1.3]), np.array([1.3]))
-    >>> from .psychometric import task_named
+    >>> from weberwhisk.behaviour import task_named
     >>> prior = levels_prior([pair], task_named("2AFC"))
     >>> float(np.round(prior.median(), 4))  # 0.3 / hypot(1, 1.3) / 1.5
     0.1219

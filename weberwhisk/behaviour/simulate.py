@@ -26,7 +26,8 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .psychometric import response_probability, task_named
+from .psychometric import response_probability
+from .tasks import task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 ORDERS = ("standard first", "random")

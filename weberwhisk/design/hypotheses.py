@@ -23,8 +23,8 @@ from ..behaviour.encodings import (
 from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
 from ..behaviour.priors import DEFAULTS, Priors, of_task
-from ..behaviour.psychometric import Task, task_named
 from ..behaviour.simulate import draw_animals
+from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer

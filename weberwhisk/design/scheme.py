@@ -22,7 +22,8 @@ from ..behaviour.encodings import (
     refuse_out_of_reach,
     unit_encodings,
 )
-from ..behaviour.psychometric import difference_sd, task_named
+from ..behaviour.psychometric import difference_sd
+from ..behaviour.tasks import task_named
 from ..behaviour.trials import Cells
 
 #: Trials of one experiment at most: what is listed must fit the memory.
