@@ -49,6 +49,11 @@ class Task:
         """Whether a response bias can show in the data."""
         return self.bias_name is not None
 
+    @property
+    def is_difference(self) -> bool:
+        """Whether d is the difference of two signals over its sd, and a bias adds alike to all."""
+        return False
+
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
         """Decision variable d (..., C), and what a bias of 1 adds to it."""
         raise NotImplementedError
@@ -88,6 +93,7 @@ class SignedChoice(Task):
     name: str = "2AFC"
     response: str = "choice"
     answer: str = '"second greater"'
+    is_difference = True
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
         m1, s1, m2, s2, shift = encoded
@@ -121,6 +127,10 @@ class PercentCorrect(Task):
     @property
     def name(self) -> str:  # type: ignore[override]
         return f"{self.alternatives}AFC percent correct"
+
+    @property
+    def is_difference(self) -> bool:
+        return self.alternatives == 2
 
     @property
     def guess_rate(self) -> float:  # type: ignore[override]

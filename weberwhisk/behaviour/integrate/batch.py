@@ -41,12 +41,14 @@ def zoomed(
     nodes: float = 12.0,
     slack: float = 2.5,
     by_node: bool = False,
+    most: float = 2e9,
 ) -> Windows:
     """Windows of every data set (R, C), of all that is no more than `cut` nats under its best node.
 
     `steps` are those of the last pass here, each `finer` than the one before; the first, over all
     of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
-    there is; what is the best is told `by_node` where any k may come to matter.
+    there is; what is the best is told `by_node` where any k may come to matter. Windows stay as
+    they are before a pass of more than `most` values.
     """
     windows = everything(model, len(counts))
     spans = [e[1].max() - e[0].min() for e in windows.ends]
@@ -58,7 +60,10 @@ def zoomed(
     # Nothing to zoom into where all is known, or within a few steps.
     zooms = int(np.ceil(np.log(max(coarsest / nodes, 1.0)) / np.log(finer)))
     for power in finer ** (-2.0 * np.arange(zooms, -1, -1)):
-        windows = _pass(model, counts, windows, steps.at(power), power * cut + slack, by_node)
+        at = ChoiceNodes(model, windows, steps.at(power), counts)
+        if at.size > most:
+            break
+        windows = _pass(at, windows, power * cut + slack, by_node)
     return windows
 
 
@@ -69,14 +74,11 @@ def narrowest_bias(model: WeberModel) -> float:
     return float(least_bias_sds(model, d, weight, np.linspace(-2.0, 2.0, 9)).min())
 
 
-def _pass(
-    model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut: float, by_node: bool
-) -> Windows:
+def _pass(at: ChoiceNodes, windows: Windows, cut: float, by_node: bool) -> Windows:
     """Smaller windows, by the highest log posterior with each outer node and one other."""
-    at = ChoiceNodes(model, windows, steps, counts)
-    count, size = len(counts), len(at.d)
-    prior = (steps.power * outer_prior(at.outer)).astype(np.float32)
-    weights = np.maximum(steps.power * lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
+    count, size, power = windows.ends.shape[2], len(at.d), at.steps.power
+    prior = (power * outer_prior(at.outer)).astype(np.float32)
+    weights = np.maximum(power * lapse_weights(at.model, *at.lapses), NOTHING).astype(np.float32)
     low, high = (np.full((size, a.size, count), -np.inf, np.float32) for a in at.lapses)
     biases: list[list[tuple[Index, Index, Array, Single]]]
     biases = [[] for _ in at.groups]

@@ -66,10 +66,13 @@ class ChoiceNodes:
         windows: Windows,
         steps: Steps,
         counts: Array,
-        dtype: DTypeLike = np.float32,
+        dtype: DTypeLike | None = None,
         lapses: tuple[Array, Array] | None = None,
     ) -> None:
-        self.model, self.steps, self.dtype = model, steps, np.dtype(dtype)
+        # Single precision as long as sums over all answers are good to a hundredth.
+        many = float(model.cells.n.sum()) * steps.power > 1e5
+        self.model, self.steps = model, steps
+        self.dtype = np.dtype(dtype or (np.float64 if many else np.float32))
         self.least = 1e-30 if self.dtype == np.float32 else TINY  # of a probability
         self.outer = windows.outer(steps.outer)
         self.lapses = windows.lapses(steps.lapse) if lapses is None else lapses
