@@ -44,8 +44,9 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.plan_file import decode, encode, plan_of, preregistration
+from weberwhisk.design.plan_file import decode, encode, plan_of
 from weberwhisk.design.session import bpod_table, psychopy_tables
+from weberwhisk.design.words import preregistration
 from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]

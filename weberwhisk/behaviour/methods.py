@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from .. import __version__
+from .._values import counted
 from ..contacts import methods_of
 from ..inference.coordinates import in_words
 from ..receptors import Weber
@@ -15,7 +16,6 @@ from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates
 from .population_fit import PopulationFit
-from .report import counted
 from .tasks import SignedChoice
 
 _NOISE = {

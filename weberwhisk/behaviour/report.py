@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._values import Array
+from .._values import Array, counted, paragraphs
 from ..inference.arviz_io import ArvizData
 from ..inference.arviz_io import to_arviz as convert
 from ..output import plain
@@ -19,7 +19,13 @@ from .verdict import FitStatus, too_few_kinds
 
 def report(fit: Estimates) -> str:
     """The report of a fit, a paragraph a question."""
-    return "\n\n".join([_data(fit), _answer(fit), _limits(fit), _next(fit)]) + "\n"
+    parts = {
+        "Data": [_data(fit)],
+        "What the data say": _answer(fit),
+        "What they cannot say": _limits(fit),
+        "What to collect next": [_next(fit)],
+    }
+    return paragraphs(parts)
 
 
 def _data(fit: Estimates) -> str:
@@ -28,18 +34,18 @@ def _data(fit: Estimates) -> str:
     moved = f", moved by {', '.join(fit.effects)}" if fit.effects else ""
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
-        f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; "
+        f"{t.source}: {t.n_trials} trials with an answer{missing}; "
         f"{counted(cells.n.size, 'pair')} of stimuli at {counted(fit.standards.size, 'standard')}"
         f"; task {t.task.name}. "
         f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
 
 
-def _answer(fit: Estimates) -> str:
+def _answer(fit: Estimates) -> list[str]:
     said = fit.status.message
     if fit.status is FitStatus.GIVEN:
         said = f"the Weber fraction was given: {fit.weber_fraction:.3g}"
-    lines = [f"What the data say. {sentence(said)}"]
+    lines = [sentence(said)]
     if "weber_fraction" in fit.parameters:
         low, high = fit.interval()
         unit = f" {fit.unit}" if fit.unit else ""
@@ -60,12 +66,12 @@ def _answer(fit: Estimates) -> str:
                 f"{_number(row['comparison'])} "
                 f"({_number(row['lower'])} to {_number(row['upper'])})."
             )
-    return "\n".join(lines)
+    return lines
 
 
-def _limits(fit: Estimates, least_p: float = 0.01) -> str:
+def _limits(fit: Estimates, least_p: float = 0.01) -> list[str]:
     """What the data cannot say; the curve misses them below that posterior-predictive p."""
-    lines = ["What they cannot say.", *fit.notes]
+    lines = [*fit.notes]
     if fit.unit:
         lines.append(
             "The unit of the logarithm is unknown, so the Weber fraction is counted per unit of "
@@ -96,9 +102,7 @@ def _limits(fit: Estimates, least_p: float = 0.01) -> str:
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
             "it do; the two are hard to distinguish."
         )
-    if len(lines) == 1:
-        lines.append("Nothing in the table speaks against the model.")
-    return "\n".join(lines)
+    return lines or ["Nothing in the table speaks against the model."]
 
 
 def _remedy(fit: Estimates) -> str:
@@ -123,18 +127,15 @@ def _next(fit: Estimates) -> str:
         FitStatus.GIVEN: "Nothing for the Weber fraction, which was given.",
     }
     if fit.status in advice:
-        return f"What to collect next. {advice[fit.status]}"
+        return advice[fit.status]
     low, high = fit.interval()
     width = np.log(high / low)
     if width <= 0.4:
-        return (
-            "What to collect next. The interval is within ±20 %; more standards would test "
-            "Weber's law."
-        )
+        return "The interval is within ±20 %; more standards would test Weber's law."
     # The width of ln k goes as one over the square root of the trials.
     factor = (width / 0.4) ** 2
     return (
-        f"What to collect next. About {factor:.1f} times as many trials of the same kind bring the "
+        f"About {factor:.1f} times as many trials of the same kind bring the "
         "interval within ±20 %; those answered right 75 to 95 % of the time tell most, and a few "
         "very easy ones tell the lapses."
     )
@@ -153,18 +154,8 @@ def _instead(fit: Estimates) -> str:
     return f"{'; or '.join(ways)}; the other method would give up as well"
 
 
-def counted(number: int, thing: str) -> str:
-    """A number of things.
-
-    Examples
-    --------
-    >>> counted(1, "trial"), counted(2, "trial")
-    ('1 trial', '2 trials')
-    """
-    return f"{number} {thing}{'s' * (number != 1)}"
-
-
 def sentence(message: str) -> str:
+    """A message as a sentence."""
     return message[0].upper() + message[1:] + "."
 
 
