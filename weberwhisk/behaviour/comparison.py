@@ -17,11 +17,13 @@ from scipy.special import logsumexp
 from .. import _checks
 from .._values import Array, Index, Shown
 from ..inference.arviz_io import pointwise_loo
-from .criticism import _Rows
+from .criticism import Rows
 from .estimates import check_fit
 from .fit import WeberFit
 from .trials import SDS
 from .verdict import strength
+
+__all__ = ["Comparison", "compare"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,7 +101,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
         check_fit(fit, f"the fit {name!r}")
     if len(fits) < 2:
         raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
-    rows = {name: _Rows.of(fit) for name, fit in fits.items()}
+    rows = {name: Rows.of(fit) for name, fit in fits.items()}
     first, *others = rows.values()
     for name, other in zip(list(fits)[1:], others, strict=True):
         same = other.n.shape == first.n.shape and all(

@@ -23,6 +23,8 @@ from .likelihood import gather
 from .predictive import compared
 from .trials import STIMULI, in_order
 
+__all__ = ["Rows", "checks", "quantile_residuals", "residuals_by"]
+
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
@@ -47,7 +49,7 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     >>> residuals_by(fit, "session").columns.tolist()
     ['session', 'n', 'observed', 'expected', 'z']
     """
-    rows = _Rows.of(fit)
+    rows = Rows.of(fit)
     if not columns:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
@@ -78,7 +80,7 @@ def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     >>> bool(abs(table["z"].mean()) < 0.5)
     True
     """
-    gathered, cell = _Rows.of(fit).gathered()
+    gathered, cell = Rows.of(fit).gathered()
     p = _expected(fit)[:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
@@ -118,7 +120,7 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     >>> bool((table["p"] > 0.001).all())
     True
     """
-    rows = _Rows.of(fit)
+    rows = Rows.of(fit)
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
@@ -145,7 +147,7 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class Rows:
     """The rows of a table that have an answer, and the cell of the model that each belongs to."""
 
     frame: pd.DataFrame
@@ -154,7 +156,7 @@ class _Rows:
     cell: Index
 
     @classmethod
-    def of(cls, fit: Estimates) -> _Rows:
+    def of(cls, fit: Estimates) -> Rows:
         check_fit(fit)
         trials = fit.trials
         _, _, cell = gather(trials, fit.model.effects, fit.encoding)

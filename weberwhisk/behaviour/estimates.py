@@ -22,6 +22,8 @@ from .predictive import predicted, prior_draws
 from .trials import Trials
 from .verdict import FitStatus, lapse_sensitivity
 
+__all__ = ["Estimates", "check_fit", "tails"]
+
 
 @dataclass(frozen=True, repr=False)
 class Estimates(Shown):

@@ -23,6 +23,8 @@ from .posteriors import QuadraturePosterior, WeberPosterior, sample
 from .trials import Trials
 from .verdict import verdict
 
+__all__ = ["WeberFit", "fit_weber"]
+
 METHODS = ("quadrature", "emcee")
 
 

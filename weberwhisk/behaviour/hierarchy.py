@@ -19,6 +19,8 @@ from scipy.special import ndtr
 from .._values import Array
 from .integrate import half_grid_error
 
+__all__ = ["Population", "integrate_population", "log_product", "normal_weights"]
+
 Likelihood = tuple[Array, Array]  # nodes of ln k (K,), and the log-likelihood of one animal there
 
 

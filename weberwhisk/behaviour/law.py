@@ -17,6 +17,8 @@ from .integrate.batch import over_fractions
 from .posteriors import QuadraturePosterior
 from .verdict import strength
 
+__all__ = ["WeberLawTest", "weber_law_test"]
+
 
 @dataclass(frozen=True)
 class WeberLawTest:

@@ -18,6 +18,8 @@ from .estimates import Estimates
 from .population_fit import PopulationFit
 from .tasks import SignedChoice
 
+__all__ = ["methods_paragraph"]
+
 _NOISE = {
     "weber": "an sd of the Weber fraction k times its own signal",
     "equal-variance": "the sd that the standard's signal gives, k times it",

@@ -27,6 +27,8 @@ from .report import sentence
 from .trials import Trials, check_trials
 from .verdict import FitStatus
 
+__all__ = ["LEFT_OUT", "PopulationFit", "PopulationStatus", "fit_population"]
+
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 
 

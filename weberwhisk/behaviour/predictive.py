@@ -9,6 +9,8 @@ from .._values import Array
 from .likelihood import Draws, WeberModel
 from .trials import STIMULI
 
+__all__ = ["compared", "misfit", "predicted", "prior_draws", "residuals"]
+
 
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     """Observed and expected proportions by pair of stimuli.

@@ -16,6 +16,8 @@ from .likelihood import Draws
 from .predictive import prior_draws
 from .verdict import FitStatus, too_few_kinds
 
+__all__ = ["as_dict", "report", "sentence", "to_arviz"]
+
 
 def report(fit: Estimates) -> str:
     """The report of a fit, a paragraph a question."""

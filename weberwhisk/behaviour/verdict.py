@@ -17,6 +17,8 @@ from .integrate import integrate, refined
 from .likelihood import WeberModel
 from .posteriors import QuadraturePosterior, WeberPosterior
 
+__all__ = ["FitStatus", "lapse_sensitivity", "strength", "too_few_kinds", "verdict"]
+
 
 class FitStatus(Enum):
     """The outcome of a fit, worst first; it travels with the numbers.

@@ -11,6 +11,8 @@ from .hypotheses import ONE_STIMULUS, Hypothesis
 from .plan import Plan
 from .scheme import easy_share
 
+__all__ = ["assumptions", "notes_of", "offsets_in_words", "preregistration"]
+
 
 def assumptions(plan: Plan) -> list[str]:
     """What the expected numbers hang on, a sentence each."""
