@@ -56,7 +56,6 @@ from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
     LogNormal,
-    NearMiss,
     Saturating,
     SpikeCount,
     Weber,
@@ -111,7 +110,6 @@ RECEPTORS: dict[str, Observer] = {
         WHISKER, Compliance(), GeneralisedWeber(0.1, floor=0.5 * UNIT, ceiling=5 * UNIT)
     ),
     "saturating": Observer(WHISKER, Compliance(), Saturating(0.1, ceiling=2 * UNIT)),
-    "near miss": Observer(WHISKER, Compliance(), NearMiss(0.2, exponent=0.9, reference=UNIT)),
     "log-normal": Observer(WHISKER, Compliance(), LogNormal(0.2)),
     "spike counts": Observer(
         WHISKER, Compliance(), SpikeCount(Afferents(12, 0.1 * UNIT, 10 * UNIT))

@@ -20,14 +20,12 @@ from weberwhisk.behaviour import (
     Trials,
     WeberFit,
     checks,
-    compare_drift,
-    fit_population,
     load_numerosity,
     load_rat_auditory,
     quantile_residuals,
     residuals_by,
 )
-from weberwhisk.behaviour.effects import Contraction, History, PastContraction
+from weberwhisk.behaviour.effects import Contraction, Drift, History
 
 BLOCK = 5  # sessions fitted together
 
@@ -71,13 +69,12 @@ def by_block(trials: Trials) -> pd.DataFrame:
 
 
 def observers(trials: Trials) -> Comparison:
-    """What else moves the rat: contraction to the mean of all or past sounds, its last answer."""
+    """What else moves the rat: contraction to the mean of all sounds, its last answer."""
     return compare(
         {
             "sounds alone": fit_weber(trials),
             "a bias per standard": fit_weber(trials, bias="per standard"),
             "contraction": fit_weber(trials, effects=[Contraction()]),
-            "contraction to the past": fit_weber(trials, effects=[PastContraction()]),
             "history": fit_weber(trials, effects=[History()]),
         }
     )
@@ -97,28 +94,17 @@ def by_standard(trials: Trials, shared: WeberFit) -> str:
     )
 
 
-def by_session(trials: Trials) -> str:
-    """What the sessions learn from one another, their lapses above all."""
-    found = fit_population(trials, sessions=True)
-    at = {name: found.interval(parameter=name) for name in found.parameters}
-    middle = {name: float(found.quantile(name, 0.5)) for name in found.parameters}
-    return (
-        "Fitted together (`fit_population`, with a bias, two lapses and a Weber fraction of each "
-        "session), the sessions learn their lapses from one another: on "
-        f"average {100 * middle['mean_lapse_low']:.0f} % of answers are lost at either end "
-        f"({100 * at['mean_lapse_low'][0]:.0f} to {100 * at['mean_lapse_low'][1]:.0f} %), the "
-        f"Weber fraction is {middle['weber_fraction']:.2g} per unit "
-        f"({at['weber_fraction'][0]:.2g} to {at['weber_fraction'][1]:.2g}) and varies between "
-        f"sessions by a factor of {np.exp(middle['session_spread']):.2f} as one sd "
-        f"({np.exp(at['session_spread'][0]):.2f} to {np.exp(at['session_spread'][1]):.2f})."
-    )
-
-
 def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
     whole = fit_weber(trials)
     blocks = by_block(trials)
-    drift = compare_drift(trials, priors={"bias": 0.0})
+    known = {"bias": 0.0}
+    drift = compare(
+        {
+            "stationary": fit_weber(trials, priors=known),
+            "drifting": fit_weber(trials, priors=known, effects=[Drift()]),
+        }
+    )
     late = trials.select(session=trials.sessions[-10:])
     which = observers(late)
     columns = ["log_bayes_factor", "elpd_difference", "difference_se", "bad_k"]
@@ -138,8 +124,6 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         markdown(checks(whole)),
         "",
         by_standard(trials, whole),
-        "",
-        by_session(trials),
         "",
         f"The same in blocks of {BLOCK} sessions, where the animal changes less:",
         "",

@@ -21,7 +21,6 @@ from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
     LogNormal,
-    NearMiss,
     ReceptorNoise,
     Saturating,
     SpikeCount,
@@ -34,7 +33,6 @@ MODELS: dict[str, ReceptorNoise] = {
     "Weber": Weber(0.1),
     "floor": GeneralisedWeber(0.1, floor=0.1 * LOWEST),
     "saturating": Saturating(0.1, ceiling=HIGHEST),
-    "near miss, exponent 0.9": NearMiss(0.1, exponent=0.9, reference=np.sqrt(LOWEST * HIGHEST)),
     "log-normal": LogNormal(0.1),
     "100 afferents' counts": POPULATION,
 }

@@ -56,9 +56,6 @@ OBSERVERS: dict[str, Make] = {
     "saturating": lambda k: Observer(
         W, cues.Compliance(), receptors.Saturating(k, ceiling=2 * UNIT)
     ),
-    "near miss": lambda k: Observer(
-        W, cues.Compliance(), receptors.NearMiss(k, exponent=0.8, reference=UNIT)
-    ),
     "log-normal": lambda k: Observer(W, cues.Compliance(), receptors.LogNormal(k)),
     "force map": lambda k: Observer(W, cues.ForceMap(), receptors.Weber(k)),
     "cylinder's ridge": lambda k: Observer(CYLINDER, cues.ForceMap(), receptors.Weber(k)),

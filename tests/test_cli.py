@@ -539,7 +539,6 @@ def test_jnd_of_the_force_map_combines_each_with_each(
         ["--cue", "moment", "--deflection-angle-deg", "5"],
         ["--cue", "fused"],
         ["--receptors", "log-normal"],
-        ["--receptors", "near-miss=0.7"],
         ["--receptors", "floor=0.05"],
         ["--receptors", "saturating=2"],
     ],
@@ -571,15 +570,15 @@ def test_choices_by_angles_are_simulated_and_not_fitted(
 def test_effects_are_simulated_and_fitted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moved = ["--effect", "past-contraction=20:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
+    moved = ["--effect", "contraction:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
     moved += ["--seed", "2"]
     assert run_app(cli.app, ["simulate", *moved, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out.splitlines()[-1]
-    assert said.endswith(" --effect past-contraction=20")
-    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"past_contraction": 0.4}
+    assert said.endswith(" --effect contraction")
+    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"contraction": 0.4}
     again = said.removeprefix("Fit them with: weberwhisk ").split()
     assert run_app(cli.app, [*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["parameters"]["past_contraction"]
+    found = json.loads(capsys.readouterr().out)["parameters"]["contraction"]
     assert found["lower"] < 0.4 < found["upper"]
 
 
@@ -689,8 +688,8 @@ def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
     believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
     assert believed.endswith("about the levels shown")
     assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
-    moved = answer(capsys, "fit", file, "--effect", "near-miss", "--lapse-prior", "1,20")
-    assert moved["settings"]["effects"] == ["exponent"]  # type: ignore[index]
+    moved = answer(capsys, "fit", file, "--effect", "floor", "--lapse-prior", "1,20")
+    assert moved["settings"]["effects"] == ["floor"]  # type: ignore[index]
     law = answer(capsys, "fit", file, "--compare", "law")
     assert len(law["comparison"]["rows"]) == 2  # type: ignore[index]
 
@@ -707,18 +706,6 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     made = {path.name for path in out.iterdir()}
     figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
     assert made == {"fit.json", "fit.run.json", "subjects.csv"} | figures
-
-
-@pytest.mark.once
-def test_fit_takes_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    course = ["--sessions", "2", "--trials-per-level", "12"]
-    answer(capsys, "simulate", *course, "--out", str(tmp_path / "s"))
-    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
-    known = ["--bias", "none"]
-    assert run_app(cli.app, ["fit", file, "--by-session", *known, "--out", str(out)]) == 0
-    assert "session_spread" in capsys.readouterr().out
-    assert json.loads((out / "fit.json").read_text())["status"] == "ONE_ANIMAL"
-    assert pd.read_csv(out / "sessions.csv")["session"].tolist() == [1, 2]
 
 
 @pytest.mark.once

@@ -11,25 +11,28 @@ from scipy.special import logsumexp, ndtr
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import (
+    Comparison,
     CueEncoding,
     IdentityEncoding,
-    LogAxisEncoding,
+    Trials,
     compare,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
     fit_weber,
     load_numerosity,
     simulate_trials,
 )
-from weberwhisk.behaviour.comparison import ConstantNoise
-from weberwhisk.behaviour.effects import Overdispersion
+from weberwhisk.behaviour.effects import Drift, Overdispersion
+from weberwhisk.behaviour.encodings import ConstantNoise
 from weberwhisk.behaviour.posteriors import SampledPosterior
+from weberwhisk.design import Hypothesis, noises, taper
+from weberwhisk.design import cues as cue_pair
 
 TAPERED = Whisker(50e-3, 100e-6, 5e-6)
 CYLINDER = Whisker(50e-3, 100e-6, 100e-6)
 KNOWN = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+
+
+def compared(trials: Trials, hypotheses: tuple[Hypothesis, ...]) -> Comparison:
+    return compare({h.name: h.fit(trials) for h in hypotheses})
 
 
 def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
@@ -65,12 +68,14 @@ def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
 @pytest.mark.once
 def test_counts_and_single_trials_compare_alike() -> None:
     trials = simulate_trials(weber_fraction=0.15, standards=[1.0, 3.0], trials_per_level=20, seed=3)
-    from weberwhisk.behaviour import Trials
-
     keys = ["standard", "stimulus_1", "stimulus_2"]
     counts = trials.frame.groupby(keys)[["n", "count"]].sum().reset_index()
     gathered = Trials(counts, trials.task)
-    one, other = (compare_noise(t, seed=1).table for t in (trials, gathered))
+    none = {"lapse_low": 0.0, "lapse_high": 0.0}
+    one, other = (
+        compare({"lapses": fit_weber(t, seed=1), "none": fit_weber(t, priors=none, seed=1)}).table
+        for t in (trials, gathered)
+    )
     for column in ("log_evidence", "elpd", "elpd_difference", "difference_se"):
         np.testing.assert_allclose(one[column], other[column], rtol=1e-6, atol=1e-6)
 
@@ -88,7 +93,7 @@ def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
         trials_per_level=25,
         seed=4,
     )
-    found = compare_noise(trials)
+    found = compared(trials, noises(IdentityEncoding(), trials.standards, bias="shared"))
     assert found.table.index[0] == best
     wrong = {"Weber noise", "constant noise"} - {best}
     row = found.table.loc[wrong.pop()]
@@ -104,7 +109,9 @@ def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
         weber_fraction=0.15, drift=drift, sessions=5, offsets=[-0.3, -0.1, 0.1, 0.3],
         trials_per_level=120, seed=5,
     )  # fmt: skip
-    found = compare_drift(trials)
+    found = compare(
+        {"stationary": fit_weber(trials), "drifting": fit_weber(trials, effects=[Drift()])}
+    )
     assert found.table.index[0].startswith(best)
     if drift:
         assert found.table.loc["stationary", "log_bayes_factor"] < -np.log(100)
@@ -120,7 +127,7 @@ def test_the_papers_prediction_tells_whiskers_apart(whisker: Whisker, best: str)
         encoding=encoding, weber_fraction=0.1, standards=[15.0, 30.0, 45.0],
         offsets=[-0.09, -0.06, -0.03, 0.03, 0.06, 0.09], trials_per_level=40, seed=6,
     )  # fmt: skip
-    table = compare_taper(trials, TAPERED, unit=1e-3).table
+    table = compared(trials, taper(TAPERED, unit=1e-3, bias="shared")).table
     assert table.index[0] == best
     assert table["log_bayes_factor"].iloc[1] < -np.log(10)
 
@@ -132,7 +139,7 @@ def test_cues_are_told_apart() -> None:
         encoding=encoding, weber_fraction=0.1, standards=[10.0, 25.0, 38.0],
         offsets=[-0.2, -0.1, -0.05, 0.05, 0.1], trials_per_level=40, seed=7,
     )  # fmt: skip
-    table = compare_cues(trials, TAPERED, deflection_angle=angle, unit=1e-3).table
+    table = compared(trials, cue_pair(TAPERED, angle, unit=1e-3, bias="shared")).table
     assert table.index[0] == "moment–axial-force map"
     assert table["log_bayes_factor"].iloc[1] < -np.log(10)
 
@@ -147,10 +154,7 @@ def test_misuse_is_refused_in_one_sentence() -> None:
     with pytest.raises(ValueError, match="without the effect Overdispersion"):
         compare({"a": fit, "b": fit_weber(trials, effects=[Overdispersion()])})
     with pytest.raises(ValueError, match="no taper to test"):
-        compare_taper(trials, CYLINDER)
-    log = simulate_trials(encoding=LogAxisEncoding(), weber_fraction=0.1, seed=10)
-    with pytest.raises(ValueError, match="noise is constant as it stands"):
-        compare_noise(log, encoding=LogAxisEncoding())
+        taper(CYLINDER)
 
 
 def test_a_fit_by_sampling_has_no_evidence_but_a_prediction() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,18 +23,14 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.criticism import checks
 from weberwhisk.behaviour.effects import (
-    ComparisonBias,
     Contraction,
     Drift,
     Effect,
-    FirstIntervalNoise,
     Floor,
     History,
-    NearMissExponent,
     Overdispersion,
-    PastContraction,
-    Step,
 )
+from weberwhisk.behaviour.encodings import Signals
 from weberwhisk.behaviour.likelihood import WeberModel
 
 Array = NDArray[np.float64]
@@ -58,48 +55,20 @@ def design(seed: int, trials: int = 900) -> pd.DataFrame:
     )
 
 
-def past_of(f: pd.DataFrame, half_life: float = np.inf) -> Array:
-    """Mean of both stimuli of the trials before, trial by trial; NaN on the first of a session."""
-    middle = ((f["stimulus_1"] + f["stimulus_2"]) / 2).to_numpy()
-    session = f["session"].to_numpy()
-    out = np.full(len(f), np.nan)
-    for i in range(len(f)):
-        before = np.flatnonzero(session[:i] == session[i])
-        if before.size:
-            out[i] = np.average(middle[before], weights=0.5 ** ((i - before) / half_life))
-    return out
-
-
 def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = K) -> Array:
     """P(second greater) with an effect, written out; `before` is the last answer, −1, 0 or 1."""
     s1, s2 = f["stimulus_1"].to_numpy(), f["stimulus_2"].to_numpy()
     m1, sd1, sd2, push = s1, k * s1, k * s2, 0.0
     session = f["session"].to_numpy()
-    # One number a distinct pair of stimuli: the table's typical signal does not weigh by trials.
-    pairs = f.drop_duplicates(["standard", "stimulus_1", "stimulus_2"])
-    both = np.concatenate([pairs["stimulus_1"], pairs["stimulus_2"]])
-    typical = np.exp(np.log(both).mean())
     match name:
         case "floor":
             sd1, sd2 = np.hypot(sd1, value), np.hypot(sd2, value)
-        case "exponent":
-            sd1, sd2 = (k * typical * (s / typical) ** value for s in (s1, s2))
         case "contraction":
             m1 = s1 + value * (np.mean([s1, s2]) - s1)
-        case "past_contraction":
-            m1 = s1 + value * np.nan_to_num(past_of(f) - s1)
-        case "memory":
-            sd1 = sd1 * np.exp(value)
-        case "comparison_bias":
-            second = f["stimulus_1"] == f["standard"]
-            push = value * np.where(f["comparison"] == f["standard"], 0, np.where(second, 1, -1))
         case "history":
             push = value * before
         case "drift":
             factor = np.exp(value * ((session - 1) / (SESSIONS - 1) - 0.5))
-            sd1, sd2 = sd1 * factor, sd2 * factor
-        case "step[3]":
-            factor = np.exp(value * (session >= 3))
             sd1, sd2 = sd1 * factor, sd2 * factor
     z = (s2 - m1) / np.hypot(sd1, sd2) + push + BIAS
     return np.asarray(LOW + (1 - LOW - HIGH) * ndtr(z))
@@ -124,14 +93,9 @@ def answered(name: str, value: float, seed: int, trials: int = 900) -> Trials:
 
 CASES: dict[str, tuple[Effect, float]] = {
     "floor": (Floor(), 0.3),
-    "exponent": (NearMissExponent(), 0.7),
     "contraction": (Contraction(), 0.2),
-    "past_contraction": (PastContraction(), 0.2),
-    "memory": (FirstIntervalNoise(), 0.8),
-    "comparison_bias": (ComparisonBias(), 0.7),
     "history": (History(), 0.6),
     "drift": (Drift(), -1.0),
-    "step[3]": (Step(at=3), -0.7),
 }
 
 
@@ -153,18 +117,16 @@ def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
     p = by_hand(name, value, f, before)
     exact = np.sum(choice * np.log(p) + (1 - choice) * np.log(1 - p))
     one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]]), np.array([[value]])
-    # The past is rounded to a hundredth of its spread: 0.004 sds a trial, in either direction.
-    accuracy = 0.1 if name == "past_contraction" else 1e-7
-    assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=accuracy)
+    assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=1e-7)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_neutral_effect_changes_nothing(name: str) -> None:
+def test_an_effect_of_nothing_changes_nothing(name: str) -> None:
     effect = CASES[name][0]
     trials = answered("none", 0.0, seed=12, trials=300)
     one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]])
     plain = model_of(trials, effect).plain().log_likelihood(*one)
-    moved = model_of(trials, effect).log_likelihood(*one, np.array([[effect.neutral]]))
+    moved = model_of(trials, effect).log_likelihood(*one, np.zeros((1, 1)))
     assert moved[0] == pytest.approx(plain[0], abs=1e-9)
 
 
@@ -174,14 +136,11 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     # Lapses known: one dimension less at a time is enough for a test that always runs.
     known = {"lapse_low": LOW, "lapse_high": HIGH}
     trials = answered(name, value, seed=13, trials=3000)
-    if name == "past_contraction":  # hardly two trials are alike, and draws take long
-        trials, known = answered(name, value, seed=13, trials=900), known | {"bias": BIAS}
     fit = fit_weber(trials, effects=[effect], priors=known)
     assert fit.status is FitStatus.DETERMINED
     low, high = fit.interval(0.99, parameter=name)
     assert low < value < high
-    # Which interval is the noisier shows in the third order of the differences only.
-    assert (low < effect.neutral < high) == (name == "memory")
+    assert not low < 0 < high
     low, high = fit.interval(0.99)
     assert low < K < high
     assert fit.effects == (name,)
@@ -209,7 +168,7 @@ def test_units_do_not_matter(unit: float) -> None:
     columns = ["standard", "stimulus_1", "stimulus_2"]
     table = trials.table()
     other = read_trials(table.assign(**{c: table[c] * unit for c in columns}))
-    for effect in (Floor(), NearMissExponent(), Contraction()):
+    for effect in (Floor(), Contraction()):
         a, b = (fit_weber(t, effects=[effect], priors=known) for t in (trials, other))
         assert b.weber_fraction == pytest.approx(a.weber_fraction, rel=1e-6)
         scale = unit if effect.name == "floor" else 1.0
@@ -217,60 +176,6 @@ def test_units_do_not_matter(unit: float) -> None:
         assert b.interval(parameter=effect.name) == pytest.approx(
             (scale * low, scale * high), rel=1e-5, abs=1e-6 * scale
         )
-
-
-# -- the past -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("half_life", [None, 5.0])
-def test_the_past_is_that_of_the_session_and_fades(half_life: float | None) -> None:
-    trials = answered("none", 0.0, seed=16, trials=60)
-    # A trial without an answer was felt all the same.
-    silent = trials.table().assign(choice=trials.frame["count"].where(trials.frame.index != 4))
-    read = read_trials(silent)
-    f = read.frame
-    usual = f.loc[f["count"].notna(), ["stimulus_1", "stimulus_2"]].to_numpy().mean()
-    found = PastContraction(half_life=half_life).column(read, IdentityEncoding()) + usual
-    exact = past_of(f, half_life or np.inf)
-    first = np.isnan(exact)
-    assert first.sum() == SESSIONS
-    spread = (f["stimulus_1"] + f["stimulus_2"]).std() / 2
-    np.testing.assert_allclose(found[~first], exact[~first], atol=0.00501 * spread)
-    # Drawn towards itself: not drawn.
-    np.testing.assert_array_equal(found[first], f["stimulus_1"].to_numpy()[first])
-
-
-def test_the_past_is_told_from_what_is_usual() -> None:
-    """Where the standards of a session are its own, the two contractions part."""
-    rng = np.random.default_rng(17)
-    session = np.repeat(np.arange(8), 150)
-    standard = np.array([1.0, 1.4, 2.0, 2.8])[(session % 4)] * rng.choice([0.9, 1.1], session.size)
-    f = pd.DataFrame({"session": session, "standard": standard, "stimulus_1": standard})
-    f["stimulus_2"] = np.round(standard * rng.choice([0.75, 0.9, 1.0, 1.1, 1.3], len(f)), 6)
-    p = by_hand("past_contraction", 0.5, f.assign(comparison=f["stimulus_2"]), np.zeros(len(f)))
-    trials = read_trials(f.assign(choice=(rng.random(len(f)) < p).astype(int)))
-    known = {"lapse_low": LOW, "lapse_high": HIGH}
-    past, usual = (
-        fit_weber(trials, effects=[effect], priors=known)
-        for effect in (PastContraction(), Contraction())
-    )
-    low, high = past.interval(0.99, parameter="past_contraction")
-    assert 0 < low < 0.5 < high
-    assert past.log_evidence > usual.log_evidence + 3  # type: ignore[operator]
-    assert usual.interval(parameter="contraction")[1] < 0.2
-
-
-def test_the_past_needs_trials_in_their_order() -> None:
-    counts = read_trials(
-        pd.DataFrame({"standard": 1.0, "comparison": [0.9, 1.1], "n": 20, "n_greater": [5, 15]})
-    )
-    with pytest.raises(ValueError, match="PastContraction needs a row a trial, got counts"):
-        fit_weber(counts, effects=[PastContraction()])
-    correct = simulate_trials(task="2AFC percent correct", offsets=[0.1, 0.3], seed=1)
-    with pytest.raises(ValueError, match="which interval held which stimulus"):
-        fit_weber(correct, effects=[PastContraction()])
-    with pytest.raises(ValueError, match="half_life must be above zero, got 0"):
-        PastContraction(half_life=0)
 
 
 # -- overdispersion -------------------------------------------------------------------------------
@@ -426,14 +331,12 @@ def test_sessions_in_words_go_in_the_order_of_the_table() -> None:
     trials = simulate_trials(sessions=12, trials_per_level=12, seed=1)
     words = trials.table().assign(session=[f"day {s}" for s in trials.frame["session"]])
     read, plain = read_trials(words), IdentityEncoding()
-    for numbered, named in ((Drift(), Drift()), (Step(at=2), Step(at="day 2"))):
-        assert np.array_equal(named.column(read, plain), numbered.column(trials, plain))
+    assert np.array_equal(Drift().column(read, plain), Drift().column(trials, plain))
 
 
-@pytest.mark.parametrize("effect", [History(), PastContraction()])
-def test_what_goes_by_the_trial_before_needs_trials_in_their_order(effect: Effect) -> None:
+def test_what_goes_by_the_trial_before_needs_trials_in_their_order() -> None:
     trials = simulate_trials(sessions=2, trials_per_level=10, seed=1)
-    table = trials.table()
+    table, effect = trials.table(), History()
     effect.column(read_trials(table), IdentityEncoding())
     torn = pd.concat([table[5:], table[:5]])  # the first session comes back
     for disordered in (table.sort_values("stimulus_2"), torn, torn.drop(columns="trial")):
@@ -442,13 +345,6 @@ def test_what_goes_by_the_trial_before_needs_trials_in_their_order(effect: Effec
     fit = fit_weber(read_trials(table.sort_values(["session", "stimulus_2"])))
     assert "repetition" in checks(fit_weber(trials)).index
     assert {"trend", "repetition"}.isdisjoint(checks(fit).index)
-
-
-def test_a_comparison_bias_needs_standards_that_were_shown() -> None:
-    rows = {"stimulus_1": [1.0, 2.0, 3.0, 4.0], "stimulus_2": [2.0, 1.0, 4.0, 3.0]}
-    ladder = read_trials(pd.DataFrame({**rows, "choice": [1, 0, 1, 0]}))
-    with pytest.raises(ValueError, match="standards that were never shown"):
-        ComparisonBias().column(ladder, IdentityEncoding())
 
 
 def test_a_trial_that_is_not_in_the_table_leaves_no_history() -> None:
@@ -463,5 +359,25 @@ def test_a_trial_that_is_not_in_the_table_leaves_no_history() -> None:
     after = some.frame["trial"].diff() == 1
     assert column[after].tolist() == own[after].tolist()
     assert not column[~after].any()
-    with pytest.raises(ValueError, match="needs all trials of a session"):
-        PastContraction().column(some, IdentityEncoding())
+
+
+@dataclass(frozen=True, eq=False)
+class FirstIntervalNoise(Effect):
+    """An effect as `docs/howto/own_effect.md` writes it."""
+
+    prior: Any = field(default_factory=lambda: stats.norm(0.0, 0.4))
+    name: str = "memory"
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(sd_1=signals.sd_1 * np.exp(value))
+
+
+def test_an_effect_of_ones_own_is_simulated_and_found() -> None:
+    effect = FirstIntervalNoise()
+    trials = simulate_trials(
+        offsets=[-0.4, -0.2, 0.2, 0.4], trials_per_level=3000, order="random", seed=3,
+        weber_fraction=0.2, effects=[(effect, 0.8)],
+    )  # fmt: skip
+    known = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+    low, high = fit_weber(trials, effects=[effect], priors=known).interval(0.99, effect.name)
+    assert low < 0.8 < high

@@ -234,7 +234,7 @@ def test_every_animals_choices_and_curve_are_in_one_figure(population: ww.Popula
     assert [ax.get_xlabel() for ax in (panel, beside)] == ["Second stimulus (mm)", "Weber fraction"]
     curves = {line.get_label(): line for line in panel.get_lines() if "alone" in line.get_label()}
     assert list(curves) == [f"{name}, alone" for name in population.subjects["subject"]]
-    for (name, *_), one in population.fits.items():
+    for name, one in population.fits.items():
         x, y = curves[f"{name}, alone"].get_data()
         np.testing.assert_allclose(y, one.psychometric(x, 1.0)["median"])
         cells = one.trials.cells()

@@ -22,8 +22,8 @@ from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
-from weberwhisk.design.plan_file import preregistration
 from weberwhisk.design.session import bpod_table, psychopy_tables
+from weberwhisk.design.words import preregistration
 
 ROOT = Path(__file__).parent.parent
 

@@ -19,12 +19,9 @@ from weberwhisk import Whisker
 from weberwhisk.behaviour import (
     FitStatus,
     LogEncoding,
-    PopulationPriors,
-    PopulationStatus,
     Priors,
     Trials,
     WeberFit,
-    fit_population,
     fit_weber,
     load_numerosity,
     load_rat_auditory,
@@ -915,24 +912,6 @@ def test_numerosity(subject: str) -> None:
     assert 0.1 < fit.weber_fraction < 0.35
 
 
-def among_animals(one: WeberFit) -> np.ndarray:
-    """The 95 % interval of the median k of animals of which one is known, with a normal ln k.
-
-    Its likelihood is widened by every spread that is believed: 0.52 to 3.19 for the rat.
-    """
-    ends = np.log(one.posterior.quantile("weber_fraction", ENDS))
-    believed = one.model.priors.of("weber_fraction")
-    precision = (3.92 / (ends[2] - ends[0])) ** 2
-    prior = 1 / np.log(believed.ppf(stats.norm.cdf(1)) / believed.median()) ** 2
-    middle = precision * ends[1] - prior * np.log(believed.median())
-    middle, sd = middle / (precision - prior), (precision - prior) ** -0.5
-    ln_k, spread = np.linspace(-6, 4, 2001), (np.arange(600)[:, None] + 0.5) * 0.005
-    log = believed.logpdf(np.exp(ln_k)) + ln_k + PopulationPriors().spread.logpdf(spread)
-    log = log + stats.norm.logpdf(middle, ln_k, np.hypot(spread, sd))
-    below = np.cumsum(np.exp(log - log.max()).sum(axis=0))
-    return np.exp(np.interp([0.025, 0.975], below / below[-1], ln_k))
-
-
 @pytest.mark.slow
 def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None:
     """Two proportions for four parameters, and an animal that prefers another answer at each
@@ -952,10 +931,6 @@ def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None
     # What it says to do instead works.
     few = {name: stats.beta(1, 20) for name in ("lapse_low", "lapse_high")}
     assert fit_weber(trials, priors=few).status is FitStatus.DETERMINED
-    some = load_rat_auditory(range(1, 41, 5))
-    pooled = fit_population(some, sessions=True)
-    assert pooled.status is PopulationStatus.ONE_ANIMAL
-    np.testing.assert_allclose(pooled.interval(), among_animals(fit_weber(some)), rtol=0.1)
     assert own.status is FitStatus.DETERMINED
     assert own.log_evidence > shared.log_evidence + 50  # type: ignore[operator]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp, ndtr
 
 from weberwhisk.behaviour import (
     PopulationFit,
-    PopulationPriors,
     PopulationStatus,
     Priors,
     Trials,
@@ -22,9 +22,7 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.axes import AS_BELIEVED, BiasScales
-from weberwhisk.behaviour.hierarchy import Members, _zoomed, integrate_population
-from weberwhisk.behaviour.integrate.batch import tabulate
+from weberwhisk.behaviour.integrate.batch import of_fraction
 from weberwhisk.behaviour.trials import joined
 from weberwhisk.inference.ensemble import sample_stacked
 
@@ -32,10 +30,6 @@ Array = NDArray[np.float64]
 
 #: Known lapses and biases: one unknown an animal.
 KNOWN = {"lapse_low": 0.02, "lapse_high": 0.02, "bias": 0.0}
-
-
-#: Lapses and biases of a population as in the prior of a single fit.
-AS_ALONE = np.zeros(1), np.ones(1), np.ones(1)
 
 
 def animals(count: int, **options: object) -> tuple[Trials, Array]:
@@ -56,42 +50,12 @@ def likelihood(trials: Trials, log_k: Array) -> Array:
     return np.log(np.where(x == 1, p, 1 - p)).sum(axis=-1)
 
 
-def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Members:
-    parts, animal = [], []
-    for i, subject in enumerate(trials.subjects):
-        own = trials.select(subject=subject)
-        for part in [own.select(session=s) for s in own.sessions] if sessions else [own]:
-            fit = fit_weber(part, priors=priors)
-            parts.append(tabulate(fit.model.merged(), fit.posterior.draws(), AS_BELIEVED))
-            animal.append(i)
-    return Members(tuple(parts), np.array(animal), sessions)
-
-
 # -- the integrals --------------------------------------------------------------------------------
-
-
-def test_nodes_between_cut_offs_are_interpolated_within_them() -> None:
-    """A spline through logs that drop by hundreds put all mass beside the drop.
-
-    A normal cut off two sds below its mean and the nodes' exact quantiles; then two nodes alone.
-    """
-    place = np.linspace(-4.0, 4.0, 23)
-    for cut in (-2.0, -0.9, 0.5):
-        log = np.where(place < cut, -690.0, -0.5 * place**2)
-        fine, x = np.exp(_zoomed(log, [24])), _zoomed(place, [24])
-        first = place[place >= cut][0]
-        exact = stats.truncnorm(first, np.inf).ppf([0.025, 0.5, 0.975])
-        below = np.cumsum(fine) / fine.sum()
-        # A cell with a drop is a whole one of its node's or none: half of it is not told.
-        np.testing.assert_allclose(np.interp([0.025, 0.5, 0.975], below, x), exact, atol=0.06)
-    few = np.array([-690.0, -690.0, -5.0, -4.0, -690.0, -690.0])
-    assert _zoomed(few, [5]).max() < -3.5 + 1e-9
 
 
 def test_a_prior_of_spreads_that_ends_above_zero_is_integrated_from_there() -> None:
     trials, _ = animals(2)
-    prior = PopulationPriors(spread=stats.uniform(0.2, 0.4))
-    fit = fit_population(trials, priors=KNOWN, population=prior)
+    fit = fit_population(trials, priors=KNOWN, spread_prior=stats.uniform(0.2, 0.4))
     low, middle, high = fit.quantile("spread", [0.025, 0.5, 0.975])
     # By brute force: each animal's likelihood, averaged over the normal, on nodes of its own.
     k, mu, tau = np.linspace(-7, 2, 1201), np.linspace(-5, 0, 101), np.linspace(0.2, 0.6, 81)
@@ -110,17 +74,29 @@ def test_a_prior_of_spreads_that_ends_above_zero_is_integrated_from_there() -> N
     assert fit.status is not PopulationStatus.NOT_CONVERGED
 
 
-def test_a_prior_that_ends_between_nodes_is_said_not_to_converge() -> None:
+def test_a_prior_that_ends_above_the_likely_is_integrated_or_said_not_to_be() -> None:
     trials, _ = animals(2)
     believed = Priors(weber_fraction=stats.uniform(0.03, 0.09), lapse_low=0.02, lapse_high=0.02)
-    assert fit_population(trials, priors=believed).status is PopulationStatus.NOT_CONVERGED
+    fit = fit_population(trials, priors=believed, bias="none")
+    # By brute force, as above, with the mean between two ends.
+    k, mu, tau = np.linspace(-7, 2, 1201), np.linspace(0.03, 0.12, 401), (np.arange(80) + 0.5) / 40
+    z = (k[:, None, None] - np.log(mu)[:, None]) / tau
+    log_post = np.zeros((mu.size, 1)) + stats.halfnorm(scale=0.5).logpdf(tau)
+    for subject in trials.subjects:
+        seen = likelihood(trials.select(subject=subject), k)
+        log_post += np.log(np.tensordot(np.exp(seen - seen.max()), np.exp(-0.5 * z**2) / tau, 1))
+    mass = np.exp(log_post - log_post.max()).sum(axis=1)
+    exact = np.interp([0.025, 0.5, 0.975], (np.cumsum(mass) - 0.5 * mass) / mass.sum(), mu)
+    if fit.status is not PopulationStatus.NOT_CONVERGED:
+        np.testing.assert_allclose(
+            fit.quantile("weber_fraction", [0.025, 0.5, 0.975]), exact, rtol=0.02
+        )
     wide = Priors(weber_fraction=stats.uniform(1e-4, 5.0), lapse_low=0.02, lapse_high=0.02)
     assert fit_population(trials, priors=wide).status is not PopulationStatus.NOT_CONVERGED
 
 
-def test_a_table_integrates_to_the_evidence_of_one_animal() -> None:
-    # A population with the prior of a single fit: the same integral over k, lapses and bias, here
-    # by brute force in the normal scores of the priors.
+def test_the_likelihood_of_k_integrates_to_the_evidence_of_one_animal() -> None:
+    # The same integral over k, lapses and bias, here by brute force in the scores of the priors.
     trials = simulate_trials(
         weber_fraction=0.12, offsets=[-0.3, -0.1, 0.1, 0.3], lapse_high=0.05, trials_per_level=30,
         subject="a", seed=3,
@@ -146,40 +122,14 @@ def test_a_table_integrates_to_the_evidence_of_one_animal() -> None:
             total.append(logsumexp(inside) + stats.norm.logpdf(b))
             total[-1] += priors.weber_fraction.logpdf(np.exp(x)) + x
     steps = (z[1] - z[0]) ** 2 * (log_k[1] - log_k[0]) * (bias[1] - bias[0])
-    work = work_of(trials, False, None)
-    kernel = work.kernel(np.array([np.log(0.1)]), np.array([np.log(3.0)]))
-    log_like = work.given_lapses(*AS_ALONE)[0, 0]
-    found = work.log_likelihood(log_like, None, kernel)[0][0]
-    assert found == pytest.approx(logsumexp(total) + np.log(steps), abs=2e-3)
+    nodes, log_like = of_fraction(model.merged(), 0.12)
+    joint = CubicSpline(nodes, log_like)(log_k)
+    joint += priors.weber_fraction.logpdf(np.exp(log_k)) + log_k
+    exact = logsumexp(total) + np.log(steps)
+    assert logsumexp(joint) + np.log(log_k[1] - log_k[0]) == pytest.approx(exact, abs=2e-3)
 
 
-def test_sessions_within_animals_by_brute_force() -> None:
-    trials, _ = animals(2, sessions=3, session_spread=0.3)
-    work = work_of(trials, True)
-    log_like = work.given_lapses(*AS_ALONE)[0, 0]
-    node, weight = np.polynomial.hermite_e.hermegauss(120)
-    weight = weight / weight.sum()
-    for mu, tau, sigma in ((-2.3, 0.4, 0.3), (-2.0, 0.2, 0.6), (-2.6, 0.8, 0.15)):
-        middle = mu + tau * node
-        expected = 0.0
-        for subject in trials.subjects:
-            own = trials.select(subject=subject)
-            by_session = [
-                logsumexp(
-                    likelihood(own.select(session=s), middle[:, None] + sigma * node),
-                    axis=1,
-                    b=weight,
-                )
-                for s in own.sessions
-            ]
-            expected += logsumexp(np.sum(by_session, axis=0), b=weight)
-        kernel = work.kernel(np.array([mu]), np.array([tau]))
-        assert work.log_likelihood(log_like, work.within(sigma), kernel)[0][0] == pytest.approx(
-            expected, abs=2e-3
-        )
-
-
-def brute_force(trials: Trials, prior: PopulationPriors) -> dict[str, Array]:
+def brute_force(trials: Trials) -> dict[str, Array]:
     """Mean and sd of the population's ln k and spread, and of each animal's ln k, on a dense grid
     with Gauss–Hermite nodes for each animal."""
     mu, tau = np.linspace(-7.5, 2.5, 301), (np.arange(160) + 0.5) * 0.0156
@@ -187,7 +137,7 @@ def brute_force(trials: Trials, prior: PopulationPriors) -> dict[str, Array]:
     weight = weight / weight.sum()
     x = mu[:, None, None] + tau[:, None] * node
     log_prior = stats.lognorm(np.log(3.0), scale=0.1).logpdf(np.exp(mu))[:, None] + mu[:, None]
-    log_post = log_prior + prior.spread.logpdf(tau)
+    log_post = log_prior + stats.halfnorm(scale=0.5).logpdf(tau)
     moments = []
     for subject in trials.subjects:
         table = np.linspace(-22, 18, 8001)
@@ -207,48 +157,13 @@ def brute_force(trials: Trials, prior: PopulationPriors) -> dict[str, Array]:
     return out | {f"{i}": of(*m) for i, m in enumerate(moments)}
 
 
-def brute_force_with_biases(trials: Trials, prior: PopulationPriors) -> dict[str, Array]:
-    """The same where animals have a bias each, drawn with a common sd, also on a dense grid."""
-    mu, tau = np.linspace(-6.0, 1.5, 121), (np.arange(60) + 0.5) * 0.04
-    scale = (np.arange(60) + 0.5) * 0.07
-    node, weight = np.polynomial.hermite_e.hermegauss(40)
-    weight = weight / weight.sum()
-    x = mu[:, None, None] + tau[:, None] * node
-    table, bias = np.linspace(-16, 12, 1401), np.arange(-14, 14.01, 0.05)
-    log_prior = stats.lognorm(np.log(3.0), scale=0.1).logpdf(np.exp(mu))[:, None] + mu[:, None]
-    log_post = log_prior + prior.spread.logpdf(tau)
-    log_post = log_post[..., None] + prior.bias_scale.logpdf(scale)
-    density = stats.norm.pdf(bias[:, None], scale=scale)
-    for subject in trials.subjects:
-        frame = trials.select(subject=subject).frame
-        cells = frame.groupby(["stimulus_1", "stimulus_2"])["count"].agg(["sum", "count"])
-        log_like = np.zeros((table.size, bias.size))
-        for (s1, s2), (yes, n) in zip(cells.index, cells.to_numpy(), strict=True):
-            gap = (s2 - s1) / np.hypot(s1, s2)
-            p = 0.02 + 0.96 * ndtr(gap / np.exp(table)[:, None] + bias)
-            log_like += yes * np.log(p) + (n - yes) * np.log1p(-p)
-        top = log_like.max()
-        by_scale = np.log(np.exp(log_like - top) @ density * 0.05) + top  # (X, S)
-        for i, one in enumerate(by_scale.T):
-            log_post[..., i] += logsumexp(np.interp(x, table, one), axis=2, b=weight)
-    mass = np.exp(log_post - logsumexp(log_post))
-    out = {}
-    grids = {"mu": mu[:, None, None], "spread": tau[:, None], "bias_scale": scale}
-    for name, value in grids.items():
-        mean = (mass * value).sum()
-        out[name] = np.array([mean, np.sqrt((mass * (value - mean) ** 2).sum())])
-    return out
-
-
-NAMED = {"mu": "log_weber_fraction", "spread": "spread", "bias_scale": "bias_scale"}
-
-
 def moments_of(fit: PopulationFit) -> dict[str, Array]:
     assert fit.population is not None
     found = fit.population
     out = {}
-    for label, name in NAMED.items():
-        (values,), mass = found.nodes(name)
+    for label, name in (("mu", "weber_fraction"), ("spread", "spread")):
+        values, mass = found.nodes(name)
+        values = np.log(values) if label == "mu" else values
         mean = mass @ values
         out[label] = np.array([mean, np.sqrt(mass @ (values - mean) ** 2)])
     for i, mass in enumerate(found.animals):
@@ -261,51 +176,11 @@ def moments_of(fit: PopulationFit) -> dict[str, Array]:
 def test_population_and_animals_by_brute_force(count: int) -> None:
     trials, _ = animals(count)
     fit = fit_population(trials, priors=KNOWN)
-    expected, found = brute_force(trials, fit.priors), moments_of(fit)
-    assert expected.keys() == found.keys() - {"bias_scale"}
+    expected, found = brute_force(trials), moments_of(fit)
+    assert expected.keys() == found.keys()
     for name, (mean, sd) in expected.items():
         assert found[name][0] == pytest.approx(mean, abs=0.01 * sd), name
         assert found[name][1] == pytest.approx(sd, rel=0.01), name
-
-
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_population_with_biases_by_brute_force(count: int) -> None:
-    trials, _ = animals(count, bias_spread=0.3)
-    fit = fit_population(trials, priors={"lapse_low": 0.02, "lapse_high": 0.02})
-    expected, found = brute_force_with_biases(trials, fit.priors), moments_of(fit)
-    for name, (mean, sd) in expected.items():
-        assert found[name][0] == pytest.approx(mean, abs=0.01 * sd), name
-        assert found[name][1] == pytest.approx(sd, rel=0.01), name
-
-
-def population_density(work: Members, prior: PopulationPriors, x: Array) -> Array:
-    """Log posterior of (ln k of the population, log spread) with every animal integrated out."""
-    flat = x.reshape(-1, 2)
-    log_like = work.given_lapses(*AS_ALONE)[0, 0]
-    kernel = work.kernel(flat[:, 0], np.exp(flat[:, 1]))
-    weber = stats.lognorm(np.log(3.0), scale=0.1)
-    out = work.log_likelihood(log_like, None, kernel)[0]
-    out = out + weber.logpdf(np.exp(flat[:, 0])) + flat[:, 0]
-    return (out + prior.spread.logpdf(np.exp(flat[:, 1])) + flat[:, 1]).reshape(x.shape[:-1])
-
-
-@pytest.mark.slow
-def test_emcee_on_the_populations_own_parameters_agrees() -> None:
-    """The same means and sds as `test_population_and_animals_by_brute_force`, by a second judge."""
-    trials, _ = animals(3)
-    work, fit = work_of(trials, False), fit_population(trials, priors=KNOWN)
-    start = np.array([-2.3, -1.0]) + np.random.default_rng(1).normal(0, 0.3, (1, 4, 16, 2))
-    run = sample_stacked(
-        lambda x: population_density(work, fit.priors, x), start, seed=2, precision=0.1
-    )
-    assert run.converged[0]
-    found = moments_of(fit)
-    draws = run.values[0].reshape(-1, 2)
-    mean, sd = found["mu"]
-    assert draws[:, 0].mean() == pytest.approx(mean, abs=0.3 * sd)
-    assert draws[:, 0].std() == pytest.approx(sd, rel=0.3)
-    mean, sd = found["spread"]
-    assert np.exp(draws[:, 1]).mean() == pytest.approx(mean, abs=0.3 * sd)
 
 
 @pytest.mark.slow
@@ -341,38 +216,6 @@ def test_what_fails_emcee_on_all_animals_at_once() -> None:
     assert not many_run.converged[0]
 
 
-def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
-    # A posterior that runs into the end of what was tabulated is no answer, and says so.
-    trials, _ = animals(3, bias_spread=0.2)
-    known = {"lapse_low": 0.02, "lapse_high": 0.02}
-    fits = [fit_weber(trials.select(subject=s), priors=known) for s in trials.subjects]
-    weber = Priors().weber_fraction
-    errors = []
-    for scales in (BiasScales.between(0.0, 5.0, 0.1), BiasScales.between(1.5, 3.0, 0.1)):
-        tables = [tabulate(f.model.merged(), f.posterior.draws(), scales) for f in fits]
-        members = Members(tuple(tables), np.arange(3), False, scales)
-        found = integrate_population(
-            members, PopulationPriors(), lambda x: weber.logpdf(np.exp(x)) + x
-        )
-        errors.append(found.error)
-    assert errors[0] < 0.02
-    assert np.isinf(errors[1])
-
-
-def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
-    # Twelve animals without any bias: with the scale of a single fit k is 0.0927, and 0.0979 with
-    # one that is learnt.
-    trials, _ = animals(12, spread=0.1, trials_per_level=12)
-    known = {"lapse_low": 0.02, "lapse_high": 0.02}
-    learnt = fit_population(trials, bias="per standard", priors=known)
-    believed = PopulationPriors(bias_scale=stats.lognorm(0.01, scale=1.0))
-    fixed = fit_population(trials, bias="per standard", priors=known, population=believed)
-    assert fixed.weber_fraction < 0.97 * learnt.weber_fraction
-    low, high = learnt.interval(0.95)
-    assert low < 0.1 < high
-    assert learnt.interval(0.95, "bias_scale")[1] < 0.3
-
-
 # -- what pooling does ----------------------------------------------------------------------------
 
 
@@ -390,23 +233,9 @@ def test_pooling_draws_animals_together_and_errs_less() -> None:
         rows["alone_upper"] / rows["alone_lower"]
     )
     assert narrower.all()
-    for name, value in (("weber_fraction", 0.1), ("spread", 0.2), ("mean_lapse_low", 0.02)):
+    for name, value in (("weber_fraction", 0.1), ("spread", 0.2)):
         low, high = fit.interval(0.95, name)
         assert low < value < high
-
-
-def test_sessions_are_told_apart() -> None:
-    trials, _ = animals(3, spread=0.1, sessions=4, session_spread=0.8, trials_per_level=60)
-    fit = fit_population(trials, sessions=True, priors=KNOWN)
-    assert fit.sessions is not None
-    assert len(fit.sessions) == 12
-    low, high = fit.interval(0.95, "session_spread")
-    assert 0.35 < low < 0.8 < high
-    lower, upper = fit.interval(0.95, "spread")
-    assert lower < 0.1 < upper < 1.5
-    # A session learns from its animal's others: each lies between itself and them.
-    alone, pooled = (np.log(fit.sessions[c]) for c in ("alone", "weber_fraction"))
-    assert pooled.std() < alone.std()
 
 
 def test_the_order_of_the_animals_does_not_matter() -> None:
@@ -433,7 +262,6 @@ def test_five_animals_of_a_percent_correct_task() -> None:
     )
     fit = fit_population(trials)
     assert fit.status.ok
-    assert "mean_lapse_low" not in fit.parameters
     low, high = fit.interval(0.99)
     assert low < 0.1 < high
     order = [f"s{i + 1}" for i in range(5)]
@@ -451,7 +279,7 @@ def test_fifty_animals_of_two_thousand_trials() -> None:
     rows = fit.subjects.set_index("subject").loc[truth["subject"]]
     true = truth["weber_fraction"].to_numpy()
     assert ((rows["lower"] < true) & (true < rows["upper"])).sum() >= 43
-    for name, value in (("weber_fraction", 0.1), ("spread", 0.3), ("mean_lapse_high", 0.02)):
+    for name, value in (("weber_fraction", 0.1), ("spread", 0.3)):
         low, high = fit.interval(0.99, name)
         assert low < value < high
 
@@ -463,8 +291,8 @@ def test_one_animal_says_nothing_of_a_spread() -> None:
     trials, _ = animals(1)
     fit = fit_population(trials, priors=KNOWN)
     assert fit.status is PopulationStatus.ONE_ANIMAL
-    (values,), mass = fit.population.nodes("spread")  # type: ignore[union-attr]
-    assert mass @ values == pytest.approx(float(fit.priors.spread.mean()), rel=0.25)
+    values, mass = fit.population.nodes("spread")  # type: ignore[union-attr]
+    assert mass @ values == pytest.approx(float(fit.spread_prior.mean()), rel=0.25)
 
 
 def test_a_reversed_animal_and_one_without_answers_stay_out() -> None:
@@ -506,28 +334,20 @@ def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
     rows = fit.subjects.set_index("subject")
     assert rows.loc["s1", "status"] == "UPPER_BOUND"
     assert np.isfinite(rows[["weber_fraction", "lower", "upper"]].to_numpy()).all()
-    assert rows.loc["s1", "weber_fraction"] > rows.loc["s1", "alone"]
+    better = fit_population(Trials(frame[~second], trials.task)).subjects.set_index("subject")
+    assert better.loc["s1", "weber_fraction"] > better.loc["s1", "alone"]
 
 
-@pytest.mark.parametrize(("column", "sessions"), [("subject", False), ("session", True)])
-def test_missing_labels_are_refused(column: str, sessions: bool) -> None:
+def test_missing_labels_are_refused() -> None:
     trials, _ = animals(2)
-    lacking = Trials(trials.frame.drop(columns=column), trials.task)
-    with pytest.raises(ValueError, match=f"no column '{column}' to tell {column}s apart"):
-        fit_population(lacking, sessions=sessions)
-
-
-def test_sessions_without_a_subject_are_one_animals() -> None:
-    trials = simulate_trials(sessions=2, trials_per_level=20, seed=4)
-    fit = fit_population(trials, sessions=True, priors=KNOWN)
-    assert fit.status is PopulationStatus.ONE_ANIMAL
-    assert fit.sessions is not None
-    assert fit.sessions["session"].tolist() == [1, 2]
+    lacking = Trials(trials.frame.drop(columns="subject"), trials.task)
+    with pytest.raises(ValueError, match="no column 'subject' to tell subjects apart"):
+        fit_population(lacking)
 
 
 def test_reading_off_a_fit_and_its_draws_for_arviz() -> None:
     trials, _ = animals(4)
-    fit = fit_population(trials, sessions=False, priors=KNOWN)
+    fit = fit_population(trials, priors=KNOWN)
     summary = fit.summary(0.9)
     assert summary.index.tolist() == list(fit.parameters)
     posterior = fit.to_arviz(draws=5000)["posterior"]

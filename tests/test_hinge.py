@@ -271,8 +271,6 @@ def test_the_hinge_is_a_field_like_others():
     assert whisker == hinged(1e-5)
     assert whisker.cylinder().hinge_stiffness == 1e-5
     assert decode(encode(whisker)) == whisker
-    old = {k: v for k, v in encode(PLAIN).items() if k != "hinge_stiffness"}
-    assert decode(old) == PLAIN
     for wrong in (0.0, -1.0, np.inf):
         with pytest.raises(ValueError, match="hinge_stiffness"):
             hinged(wrong)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr
 
-from weberwhisk.behaviour import fit_weber, simulate_trials
+from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.axes import log_lapses_possible, score_prior
 from weberwhisk.behaviour.effects import Floor
 from weberwhisk.behaviour.integrate import Tolerance, integrate
 from weberwhisk.behaviour.integrate.batch import marginal
-from weberwhisk.behaviour.likelihood import WeberModel
+from weberwhisk.behaviour.likelihood import WeberModel, build_model
 
 
 def plain_evidence(model: WeberModel, k: tuple, lapse: tuple, bias: tuple) -> float:
@@ -85,3 +86,39 @@ def test_a_grid_that_would_be_too_large_is_given_up() -> None:
         simulate_trials(standards=[1.0, 4.0], trials_per_level=20, seed=7), effects=[Floor()]
     ).model
     assert np.isinf(integrate(model, most=1e4).error)
+
+
+@pytest.mark.parametrize("task", ["2AFC", "2AFC percent correct"])
+@pytest.mark.parametrize("k", [0.01, 0.1, 1.0])
+def test_thousands_of_different_stimuli_are_condensed_without_moving_the_likelihood(
+    task: str, k: float
+) -> None:
+    rng = np.random.default_rng(1)
+    s1, s2 = rng.uniform(1.0, 4.0, 3000), rng.uniform(1.0, 4.0, 3000)
+    d = (s2 - s1) / np.hypot(s1, s2) / k
+    answers = (rng.random(3000) < ndtr(d if task == "2AFC" else np.abs(d))).astype(int)
+    kind = {"choice": answers} if task == "2AFC" else {"correct": answers}
+    trials = read_trials(pd.DataFrame({"stimulus_1": s1, "stimulus_2": s2} | kind), task=task)
+    model = build_model(trials, None, None, None, "weber", None)[0]
+    fewer = model.merged()
+    assert fewer.cells.n.size < 250
+    assert fewer.cells.n.sum() == pytest.approx(3000)
+    ks = k * np.geomspace(0.5, 2.0, 5)
+    low = high = np.full(5, 0.02)
+    bias = np.linspace(-1.0, 1.0, 5)[:, None]
+    exact, found = (m.log_likelihood(ks, low, high, bias) for m in (model, fewer))
+    np.testing.assert_allclose(found, exact, atol=0.01)
+
+
+def test_many_trials_in_counts_are_as_quick_as_few_and_right() -> None:
+    """Windows were lost to single precision: a billion trials took a thousand times as long."""
+    s2 = 1 + np.linspace(-0.3, 0.3, 9)
+    p = 0.02 + 0.96 * ndtr((s2 - 1) / np.hypot(1, s2) / 0.1)
+    widths = []
+    for n in (10**6, 10**8):
+        table = {"standard": 1.0, "comparison": s2, "n": n, "n_greater": np.round(n * p)}
+        fit = fit_weber(read_trials(pd.DataFrame(table)))
+        low, high = fit.interval()
+        assert low < 0.1 < high
+        widths.append(high - low)
+    assert widths[0] / widths[1] == pytest.approx(10.0, rel=0.02)

@@ -19,7 +19,6 @@ from weberwhisk.behaviour import (
     CueEncoding,
     Trials,
     checks,
-    compare_noise,
     methods_paragraph,
     response_probability,
     simulate_moving,
@@ -466,10 +465,5 @@ def test_located_trials_are_read_back_compared_and_described(tmp_path) -> None:
     pd.testing.assert_frame_equal(again.frame, measured.frame)
     fit = ww.fit_weber(again, encoding=ENCODING, priors=KNOWN)
     assert "Stimuli are where the touches were located" in methods_paragraph(fit)
-    found = compare_noise(
-        trials, observer=ENCODING.observer, distances=located, priors=KNOWN, bias="none"
-    )
-    same = compare_noise(measured, encoding=ENCODING, priors=KNOWN, bias="none")
-    pd.testing.assert_frame_equal(found.table, same.table)
     with pytest.raises(ValueError, match="column 'stimulus_1_sd', rows 1, 2, 3 and 33 more: -1 is"):
         ww.read_trials(measured.table().assign(stimulus_1_sd=-1.0))

@@ -78,7 +78,7 @@ def test_a_population_is_described() -> None:
     assert (
         f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k is normal" in text
     )
-    assert "spread ~ halfnorm(scale=0.5), lapse_mean ~ norm(0, 1)" in text
+    assert "bias ~ norm(0, 1), spread ~ halfnorm(scale=0.5);" in text
     assert f"status: {found.status.name}" in text
 
 
@@ -95,4 +95,3 @@ def test_what_was_given_is_said_and_who_was_left_out_is_not_counted() -> None:
     assert "180 trials of the task 2AFC, of 2 animals" in text
     assert "s2 stays out" in text
     assert "lapse_low fixed at 0.02" in text
-    assert "lapse_mean" not in text

@@ -16,15 +16,10 @@ from weberwhisk.behaviour import (
     CueEncoding,
     IdentityEncoding,
     PercentCorrect,
-    PopulationPriors,
     Priors,
     Trials,
     checks,
     compare,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
     fit_population,
     fit_weber,
     quantile_residuals,
@@ -69,8 +64,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: fit_weber("file.csv"), r"got 'file.csv'; write read_trials\('file.csv'\)"),  # type: ignore[arg-type]
     (lambda: fit_weber(TABLE), r"of type DataFrame; write read_trials\(table\)"),
     (lambda: fit_population("a.csv"), r"write read_trials\('a.csv'\)"),  # type: ignore[arg-type]
-    (lambda: compare_noise("a.csv"), r"write read_trials\('a.csv'\)"),  # type: ignore[arg-type]
-    (lambda: compare_drift(None), "trials must be Trials, got None"),  # type: ignore[arg-type]
     (lambda: Trials(TABLE, TASK), "no column 'n', 'count'; make it with read_trials"),
     (lambda: Trials(None, TASK), "frame must be a DataFrame, got None"),  # type: ignore[arg-type]
     (lambda: Trials(TRIALS.frame, "2AFC"), r"write task_named\('2AFC'\)"),  # type: ignore[arg-type]
@@ -86,7 +79,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(effects=[Floor(prior=stats.norm())]), "floor must not reach below zero"),
     (fitted(priors=[1, 2]), r"priors must be Priors or a mapping, got \[1, 2\]"),
     (fitted(priors="flat"), "priors must be Priors or a mapping, got 'flat'"),
-    (fitted(priors=PopulationPriors()), "got an object of type PopulationPriors"),
     (fitted(priors={"lapse_low": stats.beta}), "must be a frozen continuous distribution"),
     (fitted(priors={"lapse_low": stats.bernoulli(0.1)}), "frozen continuous distribution"),
     (fitted(priors={"lapse_low": None}), "frozen continuous distribution, got None"),
@@ -94,12 +86,8 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(priors={"lapse_low": 0.6, "lapse_high": 0.6}), "must leave something"),
     (fitted(priors={"lapse_correlation": "high"}), "must be a number, got 'high'"),
     (lambda: Priors(effects=["a"]), "effects must be a mapping"),  # type: ignore[arg-type]
-    (lambda: PopulationPriors(spread=0.3), "spread must be a frozen continuous"),
-    (lambda: PopulationPriors(spread=stats.norm()), "spread must not reach below zero"),
-    (
-        lambda: fit_population(ANIMALS, population={"spread": 1}),  # type: ignore[arg-type]
-        "population must be PopulationPriors",
-    ),
+    (lambda: fit_population(ANIMALS, spread_prior=0.3), "spread must be a frozen continuous"),
+    (lambda: fit_population(ANIMALS, spread_prior=stats.norm()), "spread must not reach below"),
     (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
     # Encodings, observers, whiskers.
     (fitted(encoding="log"), r"got 'log'; write IdentityEncoding\(\)"),
@@ -107,11 +95,8 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
     (fitted(observer=WHISKER), "must be an Observer, got"),
     (lambda: CueEncoding("C2"), "must be an Observer"),  # type: ignore[arg-type]
-    (lambda: compare_taper(TRIALS, "C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
-    (
-        lambda: compare_cues(TRIALS, WHISKER, deflection_angle="a"),  # type: ignore[arg-type]
-        "deflection_angle must be a number",
-    ),
+    (lambda: ww.design.taper("C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
+    (lambda: ww.design.cues(WHISKER, "a"), "deflection_angle must be a number"),  # type: ignore[arg-type]
     (lambda: CueEncoding(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
     # Settings of a fit, and what is asked of it.
     (fitted(bias=0), "bias 0 is unknown"),

@@ -25,7 +25,7 @@ from short_forms import short_or_full
 
 from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
-from weberwhisk.behaviour.comparison import ConstantNoise
+from weberwhisk.behaviour.encodings import ConstantNoise
 from weberwhisk.behaviour.simulate import draw_animals, simulate_responses
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
@@ -44,8 +44,9 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.plan_file import decode, encode, plan_of, preregistration
+from weberwhisk.design.plan_file import decode, encode, plan_of
 from weberwhisk.design.session import bpod_table, psychopy_tables
+from weberwhisk.design.words import preregistration
 from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
@@ -742,20 +743,6 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
     assert "All animals are fitted together" in " ".join(preregistration(pooled).split())
 
 
-def test_old_names_are_taken_for_a_release(plan: Plan) -> None:
-    from weberwhisk import design
-
-    # Written by 0.1.0 itself: it checks its own trial lists.
-    old = Path(__file__).parent / "data" / "plan_0.1.0.json"
-    assert {"CuePercept", "Animals", "percept"} <= set(re.findall(r"\w+", old.read_text()))
-    again = read_plan(old)
-    assert again.hypotheses[0].encoding.direction == -1
-    assert '"encoding"' in plan_json(again)
-    for name, new in (("Animals", "SubjectPopulation"), ("Finding", "AnalysisResult")):
-        with pytest.warns(DeprecationWarning, match=new):
-            assert getattr(design, name) is getattr(design, new)
-
-
 def test_a_plan_keeps_the_model_of_its_observers() -> None:
     """Power, which goes by JSON, was of an elastica where a closed form was asked for."""
     whisker = Whisker.from_identity("C2")
@@ -763,9 +750,6 @@ def test_a_plan_keeps_the_model_of_its_observers() -> None:
     again = decode(encode(given))
     assert again == given
     assert again != CueEncoding(Observer(whisker, ForceMap()), 0.5)
-    old = encode(CueEncoding(Observer(whisker, ForceMap()), 0.5))
-    del old["observer"]["model"]
-    assert decode(old) == CueEncoding(Observer(whisker, ForceMap()), 0.5)
     own = Observer(whisker, ForceMap(), prior={"radial_distance": norm(20e-3, 1e-3)})
     with pytest.raises(ValueError, match="has a prior or a tolerance of its own"):
         encode(own)

@@ -15,14 +15,8 @@ from weberwhisk.behaviour import (
     task_named,
 )
 from weberwhisk.design import Goal, Hypothesis, Plan, Scheme, hypotheses
-from weberwhisk.design.plan_file import (
-    assumptions,
-    decode,
-    encode,
-    plan_json,
-    plan_of,
-    preregistration,
-)
+from weberwhisk.design.plan_file import decode, encode, plan_json, plan_of
+from weberwhisk.design.words import assumptions, preregistration
 from weberwhisk.inference import default_noise
 from weberwhisk.jnd import weber_propagation
 

@@ -24,7 +24,7 @@ SIGNALS = st.lists(
 def noises(draw: st.DrawFn, of: float = 1.0) -> receptors.ReceptorNoise:
     """Any receptor model of one signal whose size is about `of`."""
     k = draw(FRACTION)
-    kind = draw(st.integers(0, 5))
+    kind = draw(st.integers(0, 4))
     size = of * draw(logarithmic(1e-3, 1e3))
     if kind == 0:
         return receptors.Weber(k)
@@ -33,8 +33,6 @@ def noises(draw: st.DrawFn, of: float = 1.0) -> receptors.ReceptorNoise:
     if kind == 2:
         return receptors.Saturating(k, ceiling=size, floor=k * size)
     if kind == 3:
-        return receptors.NearMiss(k, exponent=draw(floats(0.5, 1.2)), reference=size)
-    if kind == 4:
         return receptors.LogNormal(k)
     return receptors.SpikeCount(receptors.Afferents(8, size / 30, size * 30))
 

@@ -23,7 +23,6 @@ from weberwhisk.receptors import (
     GeneralisedWeber,
     Joint,
     LogNormal,
-    NearMiss,
     Saturating,
     SpikeCount,
     Weber,
@@ -34,7 +33,6 @@ NOISES = [
     lambda: Weber([0.1, 0.2], correlation=0.3),
     lambda: GeneralisedWeber(0.1, floor=[0.2, 0.0], ceiling=9.0),
     lambda: Saturating(0.1, ceiling=9.0, sharpness=2.0),
-    lambda: NearMiss(0.1, exponent=0.8, reference=2.0),
     lambda: LogNormal(0.1, correlation=-0.2),
     lambda: SpikeCount(Afferents(7, 1e-2, 10.0), Afferents(3, [0.1, 1.0], 30.0)),
     lambda: Events([[0.0], [1.0], [2.0]], misreport=0.1),
@@ -291,10 +289,9 @@ GOOD = {  # what each class needs at least
     cues.ComparativeLength: ([40e-3], [[-1e-3, 0.0]]),
     GeneralisedWeber: (0.1,),
     Saturating: (0.1,),
-    NearMiss: (0.1,),
     ww.Observer: (W, ForceMap()),
 }
-NAMED = {GeneralisedWeber: {"floor": 0.1}, Saturating: {"ceiling": 1.0}, NearMiss: {"reference": 1}}
+NAMED = {GeneralisedWeber: {"floor": 0.1}, Saturating: {"ceiling": 1.0}}
 EVERY = [
     *GOOD,
     *(getattr(cues, n) for n in cues.__all__ if n != "Cue"),

@@ -13,7 +13,6 @@ from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
     LogNormal,
-    NearMiss,
     ReceptorNoise,
     Saturating,
     SpikeCount,
@@ -29,7 +28,6 @@ GAUSSIAN = {
     "ceiling": GeneralisedWeber(0.1, floor=0.2, ceiling=[1.5, 9.0], correlation=0.3),
     "constant": GeneralisedWeber(0.0, floor=[0.2, 0.1], correlation=-0.4),
     "saturating": Saturating([0.1, 0.2], ceiling=[3.0, 9.0], sharpness=2.0, floor=0.1),
-    "near miss": NearMiss([0.1, 0.2], exponent=0.8, reference=[1.0, 4.0], correlation=-0.3),
 }
 OTHER = {
     "log-normal": LogNormal([0.1, 0.4]),
@@ -108,7 +106,6 @@ ONE_SIGNAL = {
     "weber": Weber(0.2),
     "ceiling": GeneralisedWeber(0.1, floor=0.2, ceiling=5.0),
     "saturating": Saturating(0.1, ceiling=2.0, sharpness=3.0),
-    "near miss": NearMiss(0.3, exponent=1.2, reference=10.0),
     "log-normal": LogNormal(0.1),
     "wide log-normal": LogNormal(1.0),
     "count": SpikeCount(Afferents(1, 2.0, 2.0, exponent=1.5), window=0.2),
@@ -188,7 +185,6 @@ def test_weber_is_the_limit_of_its_generalisations():
     weber = Weber([0.1, 0.2], correlation=0.4)
     options = {"weber_fraction": [0.1, 0.2], "correlation": 0.4}
     same(weber, GeneralisedWeber(**options, floor=0.0))
-    same(weber, NearMiss(**options, exponent=1.0, reference=[1e-6, 7.0]))
     same(weber, Saturating(**options, ceiling=1e15), rtol=1e-10)
 
 
@@ -211,14 +207,6 @@ def test_information_falls_as_a_power_beyond_the_ceiling():
         about_log = [noise.fisher([s])[0, 0] * s**2 for s in (1e3, 1e4)]
         assert about_log[1] / about_log[0] == pytest.approx(10 ** (-2 * p), rel=5e-3)
     assert Saturating(0.1, ceiling=1.0).fisher([1e200])[0, 0] == 0
-
-
-def test_near_miss_has_the_slope_of_its_exponent():
-    noise = NearMiss(0.1, exponent=0.9, reference=2.0)
-    assert noise.sd([2.0])[0] == pytest.approx(0.2, rel=1e-14)
-    assert np.log10(noise.sd([20.0])[0] / noise.sd([2.0])[0]) == pytest.approx(0.9, rel=1e-14)
-    # The same law from another reference: k goes by its own power of it.
-    same(NearMiss(0.1 * 2**0.1, exponent=0.9, reference=1.0), NearMiss(0.1, reference=2.0))
 
 
 def test_log_normal_noise_has_webers_moments_and_its_shape_as_k_falls():
@@ -277,7 +265,6 @@ def test_sampling_is_repeatable(noise):
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 UNIT = float(W.compliance_constant / W.length)
 OBSERVED = {
-    "near miss": NearMiss(0.1, exponent=0.8, reference=UNIT),
     "saturating": Saturating(0.1, ceiling=4 * UNIT, floor=0.01 * UNIT),
     "log-normal": LogNormal(0.1),
     "wide log-normal": LogNormal(0.7),
@@ -368,8 +355,6 @@ def test_a_log_normal_force_map_has_webers_linear_jnd():
         (lambda: Weber(0.1, correlation=-0.7).sample([1.0, 2, 3]), "cannot all be correlated"),
         (lambda: Saturating(0.1, ceiling=-1), "ceiling must be above zero, got -1"),
         (lambda: Saturating(0.1, ceiling=1, sharpness=0), "sharpness must be above zero, got 0"),
-        (lambda: NearMiss(0.1, exponent=0, reference=1), "exponent must be above zero, got 0"),
-        (lambda: NearMiss(0.1, reference=0), "reference must be above zero, got 0"),
         (lambda: LogNormal(0), "weber_fraction must be above zero, got 0"),
         (lambda: LogNormal(0.1, correlation=2), "correlation must lie between -1 and 1, got 2"),
         (lambda: LogNormal(correlation=-1).log_likelihood([1.0, 2], [1.0, 2]), "no likelihood"),

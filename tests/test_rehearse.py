@@ -15,7 +15,7 @@ from short_forms import short_or_full
 
 from weberwhisk import Whisker, plan_experiment, simulate_study
 from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
-from weberwhisk.behaviour.comparison import ConstantNoise
+from weberwhisk.behaviour.encodings import ConstantNoise
 from weberwhisk.behaviour.simulate import simulate_responses, simulate_trials
 from weberwhisk.design import (
     Goal,

@@ -245,13 +245,11 @@ def test_receptors_of_every_kind_in_the_likelihood() -> None:
     """Each written out: d' of two readings of one signal, which falls with distance."""
     k = 0.2
     _, (m1, m2) = chance_by(ww.receptors.Weber(1.0))
-    middle, floor = np.sqrt(m1 * m2), 0.1 * m1
-    near = k * middle * (np.array([m1, m2]) / middle) ** 0.7
+    floor = 0.1 * m1
     response = np.array([m1, m2]) / (1 + np.array([m1, m2]) / m1)
     exact = {
         ww.receptors.Weber(0.3): (m1 - m2) / (k * np.hypot(m1, m2)),
         ww.receptors.LogNormal(0.3): np.log(m1 / m2) / (k * np.sqrt(2)),
-        ww.receptors.NearMiss(0.3, exponent=0.7, reference=middle): (m1 - m2) / np.hypot(*near),
         ww.receptors.GeneralisedWeber(0.3, floor=floor): (m1 - m2)
         / np.sqrt(k**2 * (m1**2 + m2**2) + 2 * floor**2),
         ww.receptors.Saturating(0.3, ceiling=m1, floor=floor): (response[0] - response[1])

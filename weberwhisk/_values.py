@@ -7,8 +7,9 @@ from __future__ import annotations
 import functools
 import math
 import sys
+import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from enum import IntEnum
 from html import escape
@@ -251,6 +252,39 @@ def interval_text(middle: float, low: float, high: float, unit: str = "") -> str
     if abs(middle) >= 1e4 or digits > 6:
         return f"{middle:.4g}{unit} (95 %: {low:.4g} to {high:.4g})"
     return f"{middle:.{digits}f}{unit} (95 %: {low:.{digits}f} to {high:.{digits}f})"
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things.
+
+    Examples
+    --------
+    >>> counted(1, "trial"), counted(2, "trial")
+    ('1 trial', '2 trials')
+    """
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def paragraphs(parts: Mapping[str, Sequence[str]], width: int | None = None) -> str:
+    """A report: a paragraph for each heading, its sentences one a line, or wrapped to a width.
+
+    Examples
+    --------
+    >>> print(paragraphs({"Data": ["9 trials."], "Next": ["More trials.", "Easier ones."]}))
+    Data. 9 trials.
+    <BLANKLINE>
+    Next.
+    More trials.
+    Easier ones.
+    <BLANKLINE>
+    """
+    found = []
+    for heading, sentences in parts.items():
+        if width is None:
+            found.append(("\n" if len(sentences) > 1 else " ").join([f"{heading}.", *sentences]))
+        else:
+            found.append(textwrap.fill(" ".join([f"{heading}.", *sentences]), width))
+    return "\n\n".join(found) + "\n"
 
 
 # -- old names ------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from weberwhisk import figures
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.contacts.files import load_table
 from weberwhisk.design import Goal, SubjectPopulation
-from weberwhisk.design.plan_file import preregistration
+from weberwhisk.design.words import preregistration
 
 Fields = dict[str, str]
 Shown = dict[str, Any]

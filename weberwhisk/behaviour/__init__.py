@@ -4,36 +4,22 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 `fit_weber` makes a `WeberFit` of them.
 """
 
-from .._values import renamed_names
-from .comparison import (
-    Comparison,
-    compare,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
-)
+from .comparison import Comparison, compare
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
 from .fit import WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
+from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
+from .methods import methods_paragraph
 from .population_fit import PopulationFit, PopulationStatus, fit_population
-from .priors import PopulationPriors, Priors
-from .psychometric import (
-    TASKS,
-    PercentCorrect,
-    SignedChoice,
-    Task,
-    response_probability,
-    task_named,
-    threshold,
-)
-from .report import methods_paragraph
+from .priors import Priors
+from .psychometric import response_probability, threshold
 from .simulate import simulate_population, simulate_trials
+from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
-from .verdict import FitStatus, WeberLawTest, weber_law_test
+from .verdict import FitStatus
 
 __all__ = [
     "TASKS",
@@ -48,7 +34,6 @@ __all__ = [
     "PlaceEncoding",
     "PooledEncoding",
     "PopulationFit",
-    "PopulationPriors",
     "PopulationStatus",
     "Priors",
     "SignedChoice",
@@ -58,10 +43,6 @@ __all__ = [
     "WeberLawTest",
     "checks",
     "compare",
-    "compare_cues",
-    "compare_drift",
-    "compare_noise",
-    "compare_taper",
     "fit_population",
     "fit_weber",
     "load_numerosity",
@@ -79,14 +60,3 @@ __all__ = [
     "weber_law_test",
     "with_distances",
 ]
-
-__getattr__ = renamed_names(
-    __name__,
-    {
-        "CuePercept": "CueEncoding",
-        "IdentityPercept": "IdentityEncoding",
-        "LogAxisPercept": "LogAxisEncoding",
-        "LogPercept": "LogEncoding",
-        "Percept": "Encoding",
-    },
-)

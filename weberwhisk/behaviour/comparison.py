@@ -1,33 +1,29 @@
 """One table of choices, several observers: which of them made it?
 
 Two answers side by side. The evidence, integrated exactly, weighs each model with its priors; the
-leave-one-out density (LOO) asks how well it would predict one more trial, whatever the priors. For
-the paper's question, whether a whisker's taper is noticed, and its relatives there are functions.
+leave-one-out density (LOO) asks how well it would predict one more trial, whatever the priors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
 from .. import _checks
-from .._values import Array, Index, Shown, renamed_arguments
-from ..cues import Compliance, ForceMap
+from .._values import Array, Index, Shown
 from ..inference.arviz_io import pointwise_loo
-from ..inference.observer import Observer
-from ..whisker import Whisker
-from .criticism import _Rows, check_fit
-from .effects import Drift, Effect, Floor, check_effects
-from .encodings import ConstantNoise, CueEncoding, Encoding, chosen_encoding, encoding_for
-from .fit import WeberFit, fit_weber
-from .located import at_touches
-from .trials import SDS, Trials, check_trials
+from .criticism import Rows
+from .estimates import check_fit
+from .fit import WeberFit
+from .trials import SDS
 from .verdict import strength
+
+__all__ = ["Comparison", "compare"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +101,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
         check_fit(fit, f"the fit {name!r}")
     if len(fits) < 2:
         raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
-    rows = {name: _Rows.of(fit) for name, fit in fits.items()}
+    rows = {name: Rows.of(fit) for name, fit in fits.items()}
     first, *others = rows.values()
     for name, other in zip(list(fits)[1:], others, strict=True):
         same = other.n.shape == first.n.shape and all(
@@ -175,190 +171,3 @@ def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
     elpd[used], pareto_k[used] = pointwise_loo(both[..., used])
     shape = 2, model.cells.n.size
     return elpd.reshape(shape)[:, cell], pareto_k.reshape(shape)[:, cell]
-
-
-@renamed_arguments(percept="encoding")
-def compare_noise(
-    trials: Trials,
-    *,
-    encoding: Encoding | None = None,
-    effects: Sequence[Effect] = (),
-    **options: Any,
-) -> Comparison:
-    """Weber noise, generalised Weber noise (with a floor), and constant noise.
-
-    Parameters
-    ----------
-    trials : Trials
-        At several standards: at one alone the three can hardly be distinguished.
-    encoding : Encoding, optional
-    effects : sequence of Effect, optional
-        Of all three.
-    **options
-        As for `fit_weber`.
-
-    Raises
-    ------
-    ValueError
-        On a log scale of unknown unit, where all noise is constant.
-
-    Examples
-    --------
-    >>> from weberwhisk import simulate_trials
-    >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=2)
-    >>> compare_noise(trials).table.index[-1]
-    'constant noise'
-    """
-    check_trials(trials)
-    check_effects(effects)
-    observer, distances = (options.pop(name, None) for name in ("observer", "distances"))
-    if distances is not None:
-        trials, encoded = at_touches(trials, distances, encoding, observer)
-    else:
-        given = chosen_encoding(encoding, observer)
-        encoded = given or encoding_for(trials.scale, trials.log_unit, "weber")
-    cells = trials.cells()
-    noisiness = encoded.sd_per_weber_fraction(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
-    if noisiness.size and np.ptp(noisiness) <= 1e-9 * noisiness.max():
-        raise ValueError(
-            f"{trials.source}: on this scale noise is constant as it stands; give magnitudes, or "
-            "log_unit= when the table is read."
-        )
-    typical = float(np.exp(np.mean(np.log(noisiness)))) if noisiness.size else 1.0
-    models: dict[str, tuple[Encoding, list[Effect]]] = {
-        "Weber noise": (encoded, []),
-        "generalised Weber noise": (encoded, [Floor()]),
-        "constant noise": (ConstantNoise(encoded, typical), []),
-    }
-    return compare(
-        {
-            name: fit_weber(trials, encoding=of_it, effects=[*effects, *own], **options)
-            for name, (of_it, own) in models.items()
-        }
-    )
-
-
-def compare_drift(trials: Trials, *, effects: Sequence[Effect] = (), **options: Any) -> Comparison:
-    """A stationary observer, and one whose Weber fraction drifts over the sessions.
-
-    The drift of ln k is linear in the number of the session, or in its logarithm (fast first).
-    `effects` are those of all three; `options` go to `fit_weber`.
-
-    Examples
-    --------
-    >>> from weberwhisk import simulate_trials
-    >>> trials = simulate_trials(weber_fraction=0.15, drift=-1.5, sessions=6, seed=3)
-    >>> compare_drift(trials, bias="none").table.index[-1]
-    'stationary'
-    """
-    check_effects(effects)
-    courses = {
-        "stationary": [],
-        "drifting": [Drift()],
-        "drifting, fast first": [Drift(of_log=True)],
-    }
-    return compare(
-        {
-            name: fit_weber(trials, effects=[*effects, *own], **options)
-            for name, own in courses.items()
-        }
-    )
-
-
-def compare_taper(
-    trials: Trials, whisker: Whisker, *, unit: float = 1.0, **options: Any
-) -> Comparison:
-    """The paper's prediction: radial distance encoded through a tapered whisker, or a cylinder.
-
-    Both by the compliance cue with Weber noise: the JND is k r (1 − r/A) or k r, equations (3.5)
-    and (3.6).
-
-    Parameters
-    ----------
-    trials : Trials
-        Of radial distances, with standards near the base and near the tip.
-    whisker : Whisker
-        Tapered; the cylinder has its length and base radius.
-    unit : float
-        Metres in one unit of the stimuli.
-    **options
-        As for `fit_weber`.
-
-    Examples
-    --------
-    >>> from weberwhisk import Observer, cues, simulate_trials
-    >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
-    >>> trials = simulate_trials(observer=Observer(whisker, cues.Compliance()),
-    ...     standards=[15e-3, 42e-3], offsets=[-0.1, -0.05, 0.05, 0.1], seed=4)
-    >>> compare_taper(trials, whisker).table.index[0]
-    'tapered'
-    """
-    encoded = taper_encodings(whisker, unit)
-    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})
-
-
-def taper_encodings(whisker: Whisker, unit: float = 1.0) -> dict[str, CueEncoding]:
-    """Distance as (3.5) has it for a tapered whisker, and (3.6) for its cylinder, by name."""
-    _check_whisker(whisker)
-    if whisker.tip_radius >= whisker.base_radius:
-        raise ValueError(
-            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
-            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
-        )
-    return {
-        name: CueEncoding(Observer(w, Compliance()), unit=unit)
-        for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
-    }
-
-
-def cue_encodings(
-    whisker: Whisker, deflection_angle: float, unit: float = 1.0
-) -> dict[str, CueEncoding]:
-    """Distance by compliance, and by the map of forces at that angle (rad), by name."""
-    _check_whisker(whisker)
-    compliance, force_map = (Observer(whisker, cue) for cue in (Compliance(), ForceMap()))
-    return {
-        "compliance": CueEncoding(compliance, unit=unit),
-        "moment–axial-force map": CueEncoding(force_map, deflection_angle, unit),
-    }
-
-
-def _check_whisker(whisker: Whisker) -> None:
-    hint = "write Whisker.from_identity('C2'), say"
-    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
-
-
-def compare_cues(
-    trials: Trials,
-    whisker: Whisker,
-    *,
-    deflection_angle: float,
-    unit: float = 1.0,
-    **options: Any,
-) -> Comparison:
-    """Radial distance by the compliance cue (§2e), or by the map of moment and axial force (§2f).
-
-    Parameters
-    ----------
-    trials : Trials
-        Of radial distances.
-    whisker : Whisker
-        Tapered: the map of a cylinder leaves distance open.
-    deflection_angle : float
-        rad, of every contact.
-    unit : float
-        Metres in one unit of the stimuli.
-    **options
-        As for `fit_weber`.
-
-    Examples
-    --------
-    >>> from weberwhisk import Observer, cues, simulate_trials
-    >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
-    >>> trials = simulate_trials(observer=Observer(whisker, cues.Compliance()),
-    ...     standards=[10e-3, 25e-3, 40e-3], offsets=[-0.2, -0.1, 0.1, 0.2], seed=5)
-    >>> compare_cues(trials, whisker, deflection_angle=0.1).table.index[0]
-    'compliance'
-    """
-    encoded = cue_encodings(whisker, deflection_angle, unit)
-    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,52 +18,17 @@ from scipy.special import bdtr, ndtri
 
 from .. import _checks
 from .._values import Array, Index
-from .likelihood import Draws, WeberModel, gather
+from .estimates import Estimates, check_fit
+from .likelihood import gather
+from .predictive import compared
 from .trials import STIMULI, in_order
 
-if TYPE_CHECKING:
-    from .fit import WeberFit
-
+__all__ = ["Rows", "checks", "quantile_residuals", "residuals_by"]
 
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
-def check_fit(fit: object, name: str = "fit") -> None:
-    """Refuses what is not a fit of one observer."""
-    _checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
-
-
-def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
-    """Observed and expected proportions by pair of stimuli.
-
-    `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `expected` (posterior mean) and `z`,
-    their difference in binomial standard errors.
-    """
-    c = model.cells
-    expected = model.probability(*draws.thinned(1000).values)[0].mean(axis=0)
-    labels = {name: getattr(c, name) for name in STIMULI}
-    return pd.DataFrame(labels | _compared(c.n, c.count, c.n * expected, expected * (1 - expected)))
-
-
-def misfit(model: WeberModel, draws: Draws) -> float:
-    """Posterior-predictive p of Σ (count − n P)²/(n P (1 − P)) over pairs of stimuli: the share of
-    draws whose own replicated data lie as far from the curve as the data do."""
-    c = model.cells
-    if not c.n.size:
-        return 1.0
-    few = draws.thinned(1000)
-    p, q = model.probability(*few.values)
-    again = model.simulate(few, np.random.default_rng(0))
-    spread = c.n * p * q
-
-    def distance(count: Array) -> Array:
-        square = (count - c.n * p) ** 2
-        return np.divide(square, spread, out=np.zeros_like(spread), where=spread > 0).sum(axis=1)
-
-    return float(np.mean(distance(again) >= distance(c.count)))
-
-
-def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
+def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     """Observed and expected proportions by session, or by any columns of the table.
 
     Parameters
@@ -84,7 +49,7 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
     >>> residuals_by(fit, "session").columns.tolist()
     ['session', 'n', 'observed', 'expected', 'z']
     """
-    rows = _Rows.of(fit)
+    rows = Rows.of(fit)
     if not columns:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
@@ -95,10 +60,10 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
     )
     sums = table.groupby(list(columns), sort=True).sum().reset_index()
     n, count, mean, spread = sums[["n", "count", "mean", "spread"]].to_numpy(float).T
-    return sums[list(columns)].assign(**_compared(n, count, mean, spread / n))
+    return sums[list(columns)].assign(**compared(n, count, mean, spread / n))
 
 
-def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
+def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     """Randomised quantile residuals (Dunn & Smyth 1996), by pair of stimuli and session.
 
     Returns
@@ -115,7 +80,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     >>> bool(abs(table["z"].mean()) < 0.5)
     True
     """
-    gathered, cell = _Rows.of(fit).gathered()
+    gathered, cell = Rows.of(fit).gathered()
     p = _expected(fit)[:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
@@ -126,7 +91,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     return gathered.assign(pit=pit, z=ndtri(pit))
 
 
-def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
+def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     """Posterior-predictive checks of what animals do and a stationary observer does not.
 
     Parameters
@@ -155,7 +120,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     >>> bool((table["p"] > 0.001).all())
     True
     """
-    rows = _Rows.of(fit)
+    rows = Rows.of(fit)
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
@@ -182,7 +147,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class Rows:
     """The rows of a table that have an answer, and the cell of the model that each belongs to."""
 
     frame: pd.DataFrame
@@ -191,7 +156,7 @@ class _Rows:
     cell: Index
 
     @classmethod
-    def of(cls, fit: WeberFit) -> _Rows:
+    def of(cls, fit: Estimates) -> Rows:
         check_fit(fit)
         trials = fit.trials
         _, _, cell = gather(trials, fit.model.effects, fit.encoding)
@@ -226,7 +191,7 @@ class _Rows:
         if sessions is not None and sessions.max() > 0:
             out["sessions"] = (
                 lambda off, spread: _squares(off, spread, sessions).mean(axis=1),
-                "the effect Drift or Step, or fewer sessions",
+                "the effect Drift, or fewer sessions",
             )
         if (self.n == 1).all() and self.n.size > 2 and in_order(self.frame):
             course = np.linspace(-1, 1, self.n.size)
@@ -262,54 +227,6 @@ def _squares(off: Array, spread: Array, group: Index) -> Array:
     return np.asarray(_summed(off, group) ** 2 / _summed(spread, group))
 
 
-def _compared(n: Array, count: Array, mean: Array, spread: Array) -> dict[str, Array]:
-    """`spread` is that of one trial: n times it is the variance of the count."""
-    se = np.sqrt(n * spread)
-    off = count - mean
-    return {
-        "n": n.astype(int),
-        "observed": count / n,
-        "expected": mean / n,
-        # Where the model is certain and the data agree there is nothing off.
-        "z": np.divide(off, se, out=np.zeros_like(off), where=se > 0),
-    }
-
-
-def _expected(fit: WeberFit) -> Array:
+def _expected(fit: Estimates) -> Array:
     """P of every cell at some draws, (D, C)."""
     return fit.model.probability(*fit.posterior.draws().thinned(1000).values)[0]
-
-
-def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws:
-    """Joint draws from the prior of a model."""
-    free = np.array(model.free)
-    kept: list[Array] = []
-    while sum(map(len, kept)) < size:
-        z = rng.standard_normal((size, free.size)) * free
-        if free[-2:].all():
-            rho = model.priors.lapse_correlation
-            z[:, -1] = rho * z[:, -2] + np.sqrt(1 - rho**2) * z[:, -1]
-        *_, low, high = model.at_scores(z)
-        kept.append(z[sum(model.lapses(low, high)) < 1])
-    if model.free_bias:
-        uniform = rng.random((size, model.n_groups))
-        bias = np.asarray(model.priors.of("bias").ppf(uniform))
-    else:
-        bias = np.full((size, model.n_groups), model.fixed_bias())
-    return model.draws_at(np.concatenate(kept)[:size], bias)
-
-
-def predicted(model: WeberModel, draws: Draws, rng: np.random.Generator) -> pd.DataFrame:
-    """Observed proportions beside those that observers with these parameters would give.
-
-    A row a cell: `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `median`, `lower`,
-    `upper` (95 % of replicated data), and `inside`.
-    """
-    c = model.cells
-    n = np.maximum(c.n, 1)
-    low, median, high = np.quantile(model.simulate(draws, rng) / n, [0.025, 0.5, 0.975], axis=0)
-    observed = c.count / n
-    return pd.DataFrame({name: getattr(c, name) for name in STIMULI}).assign(
-        n=c.n.astype(int), observed=observed, median=median, lower=low, upper=high,
-        inside=(low <= observed) & (observed <= high),
-    )  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, Codes, renamed_attribute
+from .._values import Array, Codes
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
 from ..jnd import weber_propagation
@@ -65,7 +65,6 @@ class CueEncoding:
     observer: Observer
     deflection_angle: float | None = None
     unit: float = 1.0
-    unit_sd = renamed_attribute("CueEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def __post_init__(self) -> None:
         hint = "write Observer(whisker, cues.Compliance()), say"

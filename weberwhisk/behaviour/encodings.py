@@ -6,7 +6,6 @@ An encoding is the only thing a fit knows about a stimulus. Anything with the fo
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, Flags, Index, renamed_attribute, renamed_names
+from .._values import Array, Flags, Index
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
@@ -59,7 +58,6 @@ class IdentityEncoding:
 
     direction: int = 1
     domain: tuple[float, float] = (0.0, np.inf)
-    unit_sd = renamed_attribute("IdentityEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return np.asarray(stimulus, dtype=float)
@@ -90,7 +88,6 @@ class LogEncoding:
     log_unit: float = 1.0
     direction: int = 1
     domain: tuple[float, float] = (-np.inf, np.inf)
-    unit_sd = renamed_attribute("LogEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def __post_init__(self) -> None:
         _checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
@@ -221,7 +218,6 @@ class ConstantNoise:
 
     base: Encoding
     typical: float
-    unit_sd = renamed_attribute("ConstantNoise", "unit_sd", "sd_per_weber_fraction")
 
     @property
     def direction(self) -> int:
@@ -263,14 +259,7 @@ def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None
 
 
 def checked_encoding(encoding: Any) -> None:
-    """Refuse what is no `Encoding`; one written before 0.2 gets its method's new name."""
-    old = getattr(type(encoding), "unit_sd", None)
-    if callable(old):
-        warnings.warn(
-            "unit_sd of an encoding is now sd_per_weber_fraction; the old name goes in 0.3.",
-            DeprecationWarning, stacklevel=3,
-        )  # fmt: skip
-        type(encoding).sd_per_weber_fraction = old
+    """Refuse what is no `Encoding`."""
     hint = "write IdentityEncoding(), say"
     _checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
 
@@ -441,12 +430,3 @@ def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
     if log_unit is None or noise == "equal-variance":
         return LogAxisEncoding(1.0 if log_unit is None else log_unit)
     return LogEncoding(log_unit)
-
-
-__getattr__ = renamed_names(
-    __name__,
-    {
-        name: f"weberwhisk.behaviour.psychometric:{name}"
-        for name in ("decision_variable", "difference_sd")
-    },
-)

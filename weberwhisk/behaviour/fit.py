@@ -1,38 +1,34 @@
-"""A Weber fraction from a table of choices: the fit, and all that is read off its posterior."""
+"""A Weber fraction from a table of choices."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
-import pandas as pd
-from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, Shown, interval_text, renamed_arguments, renamed_attribute
 from ..inference.arviz_io import ArvizData
 from ..threads import one_blas_thread
-from . import criticism, report
-from . import psychometric as curve
-from .criticism import predicted, prior_draws
+from . import report
 from .effects import Effect
-from .encodings import NOISES, Encoding, refuse_outside
+from .encodings import NOISES, Encoding
+from .estimates import Estimates
 from .integrate import refined
-from .likelihood import Draws, WeberModel, build_model
+from .law import WeberLawTest, weber_law_test
+from .likelihood import build_model
 from .located import at_touches
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
 from .trials import Trials
-from .verdict import FitStatus, WeberLawTest, lapse_sensitivity, verdict, weber_law_test
+from .verdict import verdict
+
+__all__ = ["WeberFit", "fit_weber"]
 
 METHODS = ("quadrature", "emcee")
 
 
-@dataclass(frozen=True, repr=False)
-class WeberFit(Shown):
+class WeberFit(Estimates):
     """The fit of one observer; everything in it comes from one posterior.
 
     `weber_fraction` is the posterior median. `status` says what the data could tell and travels
@@ -50,264 +46,6 @@ class WeberFit(Shown):
     >>> fit.threshold(standard=2.0, proportion=0.75).columns.tolist()[:5]
     ['standard', 'criterion', 'comparison', 'lower', 'upper']
     """
-
-    _figure: ClassVar[str] = "psychometrics"
-    trials: Trials = field(repr=False)
-    model: WeberModel = field(repr=False)
-    encoding: Encoding = field(repr=False)
-    noise: str
-    bias: str
-    method: str
-    posterior: WeberPosterior = field(repr=False)
-    status: FitStatus
-    notes: tuple[str, ...] = ()
-
-    percept = renamed_attribute("WeberFit", "percept", "encoding")
-
-    @property
-    def weber_fraction(self) -> float:
-        """Posterior median of the Weber fraction (see `unit`)."""
-        return float(self.posterior.quantile("weber_fraction", 0.5))
-
-    @property
-    def unit(self) -> str:
-        """What the Weber fraction is counted in: empty for a pure ratio."""
-        if self.trials.scale == "log" and self.trials.log_unit is None:
-            return "per unit of the stimulus column"
-        return ""
-
-    @property
-    def log_evidence(self) -> float | None:
-        """Natural log of the probability of the sequence of answers; None by emcee."""
-        return self.posterior.log_evidence
-
-    @property
-    def standards(self) -> Array:
-        """Standards with an answer, rising; those of the table where none has one."""
-        answered = np.unique(self.model.cells.standard)
-        return answered if answered.size else self.trials.standards
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the inferred parameters."""
-        return self.model.names
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of the effects in the model."""
-        return tuple(effect.name for effect in self.model.effects)
-
-    def interval(
-        self,
-        mass: float = 0.95,
-        parameter: str = "weber_fraction",
-        *,
-        kind: str = "equal-tailed",
-    ) -> tuple[float, float]:
-        """Posterior interval of a parameter.
-
-        Parameters
-        ----------
-        mass : float
-            Its posterior probability.
-        parameter : str
-            One of `parameters`; a Weber fraction that was given is both ends.
-        kind : {"equal-tailed", "hdi"}
-            As much left out on either side, or the shortest (highest density).
-        """
-        if parameter != "weber_fraction":
-            _checks.one_of("parameter", parameter, self.parameters)
-        _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
-        below = np.array(tails(mass)[:1])
-        if kind == "hdi":
-            below = np.linspace(0, 1, 2001) * 2 * below
-        low, high = (self.posterior.quantile(parameter, p) for p in (below, below + mass))
-        at = int(np.argmin(high - low))
-        return float(low[at]), float(high[at])
-
-    @cached_property
-    def map(self) -> dict[str, float]:
-        """The most probable values (MAP), in the normal scores of the priors (ln k, say)."""
-        return self.posterior.mode()
-
-    def summary(self, mass: float = 0.95) -> pd.DataFrame:
-        """One row a parameter: mean, sd, median, MAP, intervals, prior.
-
-        `lower` and `upper` leave out as much on either side; `hdi_lower` and `hdi_upper` bound the
-        shortest interval.
-        """
-        rows = []
-        for name in self.parameters:
-            low, high = self.interval(mass, name)
-            shortest = self.interval(mass, name, kind="hdi")
-            rows.append(
-                {
-                    "mean": self.posterior.mean(name),
-                    "sd": self.posterior.sd(name),
-                    "median": float(self.posterior.quantile(name, 0.5)),
-                    "lower": low,
-                    "upper": high,
-                    "hdi_lower": shortest[0],
-                    "hdi_upper": shortest[1],
-                    "map": self.map[name],
-                    "mass": mass,
-                    "prior": self.model.priors.words(name),
-                }
-            )
-        return pd.DataFrame(rows, index=pd.Index(self.parameters, name="parameter"))
-
-    def threshold(
-        self,
-        standard: ArrayLike | None = None,
-        proportion: float = 0.75,
-        *,
-        mass: float = 0.95,
-        with_bias: bool | None = None,
-        upward: bool = True,
-    ) -> pd.DataFrame:
-        """Comparisons at which the observer answers with that proportion, lapses removed.
-
-        Parameters
-        ----------
-        standard : array_like, optional
-            One or several; those that have answers by default.
-        proportion : float
-            Of "second greater" (below ½: the downward threshold), of correct answers, and so on.
-        mass : float
-            Of the interval, taken from the posterior of the threshold itself.
-        with_bias : bool, optional
-            Leave the response bias in: the point as it lies on the curve. Without it the threshold
-            is the observer's sensitivity, and the 50 % point is the standard. By default a bias is
-            taken out, and the criterion of yes/no and same–different tasks left in.
-        upward : bool
-            The side, for percent-correct and same–different tasks.
-
-        Returns
-        -------
-        DataFrame
-            `standard`, `criterion`, `comparison` (median), `lower`, `upper`, `difference`
-            (comparison − standard), and `unreachable`: the posterior probability that no comparison
-            reaches the proportion, where an end may be infinite.
-        """
-        model, ends_at = self.model, tails(mass)
-        biased = model.task.bias_name == "criterion" if with_bias is None else with_bias
-        biased = biased and bool(model.group_names)
-        at, even = np.array([ends_at[0], 0.5, ends_at[1]]), (np.arange(200) + 0.5) / 200
-        given = self.standards if standard is None else standard
-        rows = []
-        for s in map(float, _checks.finite("standard", given, "give one or several").ravel()):
-            k = self.posterior.quantile("weber_fraction", [*at, *even])
-            bias: ArrayLike = 0.0
-            effects: list[tuple[Effect, Array]] = []
-            if by_draws := biased or model.effects:  # else a monotone function of k alone
-                d = self.posterior.draws()
-                bias = d.bias[:, self._group(s)] if biased else 0.0
-                k, effects = d.weber_fraction, self._moved(d)
-            points = curve.threshold(
-                model.task, self.encoding, s, proportion, weber_fraction=k, bias=bias,
-                effects=effects, noise=self.noise, upward=upward,
-            )  # fmt: skip
-            ends = _quantiles(points, at) if by_draws else np.sort(points[: at.size])
-            seen = points if by_draws else points[at.size :]
-            edge = self.encoding.domain[0]
-            rows.append(
-                {
-                    "standard": s,
-                    "criterion": curve.criterion(model.task, proportion),
-                    "comparison": ends[1],
-                    "lower": ends[0],
-                    "upper": ends[2],
-                    "difference": ends[1] - s,
-                    "mass": mass,
-                    "unreachable": float(np.mean(np.isinf(seen) | (seen == edge))),
-                }
-            )
-        return pd.DataFrame(rows)
-
-    def _moved(self, draws: Draws) -> list[tuple[Effect, Array]]:
-        """The effects with their draws."""
-        return [(e, draws.effects[:, i]) for i, e in enumerate(self.model.effects)]
-
-    def psychometric(
-        self, comparisons: ArrayLike, standard: float | None = None, *, mass: float = 0.95
-    ) -> pd.DataFrame:
-        """The psychometric function with its posterior band, lapses and bias included.
-
-        Parameters
-        ----------
-        comparisons : array_like, shape (N,)
-            Stimulus 2.
-        standard : float, optional
-            Stimulus 1; may be left out where the table has one standard.
-
-        Returns
-        -------
-        DataFrame
-            `comparison`, `median`, `lower`, `upper`: proportions.
-        """
-        levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
-        refuse_outside(self.encoding, levels)
-        if standard is None:
-            if self.standards.size != 1:
-                raise ValueError(
-                    f"the table has {self.standards.size} standards; name one, for example "
-                    f"standard={self.standards[0]:g}."
-                )
-            standard = float(self.standards[0])
-        standard = _checks.number("standard", standard, "name one standard")
-        d = self.posterior.draws().thinned(1000)
-        p = curve.response_probability(
-            self.model.task, self.encoding, standard, levels, weber_fraction=d.weber_fraction,
-            lapse_low=d.lapse_low, lapse_high=d.lapse_high, effects=self._moved(d),
-            bias=d.bias[:, self._group(standard)] if self.model.group_names else 0.0,
-            noise=self.noise,
-        )  # fmt: skip
-        low, median, high = np.quantile(p, [tails(mass)[0], 0.5, tails(mass)[1]], axis=0)
-        return pd.DataFrame({"comparison": levels, "median": median, "lower": low, "upper": high})
-
-    def _group(self, standard: float) -> int:
-        """The column of the bias that a standard has."""
-        if self.bias != "per standard":
-            return 0
-        at = np.flatnonzero(np.isclose(self.standards, standard, rtol=1e-9, atol=0))
-        if not at.size:
-            known = ", ".join(f"{s:g}" for s in self.standards)
-            raise ValueError(
-                f"standard {standard:g} has no answers in the table, so it has no bias; "
-                f"choose one of {known}."
-            )
-        return int(at[0])
-
-    def residuals(self) -> pd.DataFrame:
-        """One row a pair of stimuli: observed, expected, and `z` in standard errors."""
-        return criticism.residuals(self.model, self.posterior.draws())
-
-    @cached_property
-    def misfit(self) -> float:
-        """Posterior-predictive p of the squared residuals: small where the data are missed."""
-        return criticism.misfit(self.model, self.posterior.draws())
-
-    def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
-        """The data beside what the priors alone expect of these trials: a check on the priors."""
-        rng = _checks.generator(seed)
-        return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
-
-    def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
-        """The data beside what the fitted observer would answer to these trials."""
-        draws = self.posterior.draws().thinned(2000)
-        return predicted(self.model, draws, _checks.generator(seed))
-
-    @cached_property
-    def lapse_sensitivity(self) -> pd.DataFrame:
-        """The Weber fraction under other beliefs about lapses, a row a prior."""
-        return lapse_sensitivity(self.model, self.posterior)
-
-    def _line(self) -> str:
-        k = f"k = {self.weber_fraction:.3g}, given"
-        if "weber_fraction" in self.parameters:
-            k = f"k = {interval_text(self.weber_fraction, *self.interval())}"
-        unit = f" {self.unit}" if self.unit else ""
-        return f"{k}{unit}; {self.trials.n_trials} trials, {self.method}; {self.status.name}"
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
@@ -330,20 +68,6 @@ class WeberFit(Shown):
         return report.to_arviz(self)
 
 
-def tails(mass: float) -> tuple[float, float]:
-    """Probabilities below the ends of an equal-tailed interval."""
-    value = _checks.between("mass", mass, "write for example 0.95")
-    return 0.5 - value / 2, 0.5 + value / 2
-
-
-def _quantiles(sample: Array, at: Array) -> Array:
-    """Quantiles of draws, some of which may be infinite: between two infinities lies no number."""
-    if np.isfinite(sample).all():
-        return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
-    return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
-
-
-@renamed_arguments(percept="encoding")
 @one_blas_thread
 def fit_weber(
     trials: Trials,
@@ -376,8 +100,8 @@ def fit_weber(
     noise : {"weber", "equal-variance"}
         The sd of each interval's own stimulus, or the textbook form with that of the standard.
     effects : sequence of Effect
-        What else may move the answers, a parameter each: a floor, near-miss exponent, drift over
-        sessions, history, contraction, overdispersion; see `weberwhisk.behaviour.effects`.
+        What else may move the answers, a parameter each: a floor, drift over sessions, history,
+        contraction, overdispersion; see `weberwhisk.behaviour.effects`.
     priors : Priors or mapping, optional
         Frozen SciPy distributions, or numbers for what is known, by parameter:
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._values import Array, Flags
 from ..contacts.files import as_number, load_table
-from .psychometric import TASKS, Task, task_named
+from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,
     SCALES,

@@ -13,7 +13,7 @@ from scipy.special import gammaln
 
 from .. import _checks
 from .._values import Array, Index
-from .axes import PLAIN, LapseTransform, lapse_transform
+from .condensed import nodes_of
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
     Encoding,
@@ -25,8 +25,8 @@ from .encodings import (
     unit_encodings,
 )
 from .located import binned, over_places
-from .priors import TINY, Priors, priors_for
-from .psychometric import Task
+from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
+from .tasks import Task
 from .trials import Cells, Trials, check_trials
 
 BIASES = ("none", "shared", "per standard")
@@ -274,36 +274,39 @@ class WeberModel:
         """The same observer without effects."""
         return replace(self, effects=(), columns=np.zeros((0, 0))) if self.effects else self
 
-    def merged(self) -> WeberModel:
+    def merged(self, most: int = 200) -> WeberModel:
         """The same likelihood with fewer cells: those that only differ in scale are one.
 
         Under Weber's law every standard repeats the same few ratios. Effects and floors know the
-        scale, and leave the cells as they are. Measured, every trial is its own cell: thousands are
-        binned.
+        scale, and leave the cells as they are. More than `most` are condensed to nodes, where the
+        decision variable is D/k for a number D of each cell; measured places are binned.
         """
-        p = self.encodings
+        p, c = self.encodings, self.cells
         if self.effects or p.has_floor:
             return self
         if p.has_spread:
-            found = binned(self.task, p, self.cells, self.group)
+            found = binned(self.task, p, c, self.group)
             return replace(self, encodings=found[0], cells=found[1], group=found[2])
         key = np.column_stack([(p.mean_2 - p.mean_1) / p.sd_1, p.sd_2 / p.sd_1])
         rounded = np.column_stack([np.round(key, 11), self.group])
         _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        same = same.reshape(-1)
         gap, ratio = key[first].T
-        c = self.cells
+        n, count = (
+            np.bincount(same.reshape(-1), a, first.size).astype(float) for a in (c.n, c.count)
+        )
+        group = self.group[first]
+        if first.size > most and self.task.is_difference:
+            d = gap / np.hypot(1.0, ratio)
+            parts = [nodes_of(d, answers, group) for answers in (count, n - count)]
+            d, n = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+            group = np.concatenate([part[2] for part in parts])
+            count = np.where(np.arange(n.size) < parts[0][0].size, n, 0.0)
+            gap, ratio, first = d * np.sqrt(2.0), np.ones(n.size), np.zeros(n.size, dtype=np.intp)
         return replace(
             self,
-            encodings=UnitEncodings(np.zeros(first.size), np.ones(first.size), gap, ratio),
-            cells=Cells(
-                c.stimulus_1[first],
-                c.stimulus_2[first],
-                c.standard[first],
-                np.bincount(same, c.n, first.size).astype(float),
-                np.bincount(same, c.count, first.size).astype(float),
-            ),
-            group=self.group[first],
+            encodings=UnitEncodings(np.zeros(n.size), np.ones(n.size), gap, ratio),
+            cells=Cells(c.stimulus_1[first], c.stimulus_2[first], c.standard[first], n, count),
+            group=group,
         )
 
     def subset(self, standard: float) -> WeberModel:

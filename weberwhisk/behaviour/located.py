@@ -32,7 +32,8 @@ from .encodings import (
     chosen_encoding,
     gives_signal,
 )
-from .psychometric import SameDifferent, SignedChoice, Task, YesNo, response_probability
+from .psychometric import response_probability
+from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
 
 _HINT = "write distances=ww.locate(contacts, whisker, touch='touch')"

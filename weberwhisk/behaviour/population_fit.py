@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
 from enum import Enum
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,19 +13,21 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, Shown, interval_text, renamed_arguments
+from .._values import Array, Shown, interval_text
 from ..inference.arviz_io import ArvizData, to_arviz
 from ..output import plain
 from ..threads import one_blas_thread
-from . import report
-from .axes import likely_scales
-from .fit import WeberFit, fit_weber, tails
-from .hierarchy import NAMES, Members, Population, integrate_population
-from .integrate.batch import tabulate
+from .estimates import tails
+from .fit import WeberFit, fit_weber
+from .hierarchy import Population, integrate_population
+from .integrate.batch import of_fraction
 from .likelihood import encoding_of, pairs_shown
-from .priors import PopulationPriors, Priors, priors_for
+from .priors import SPREAD, Priors, check_distribution, priors_for
+from .report import sentence
 from .trials import Trials, check_trials
 from .verdict import FitStatus
+
+__all__ = ["LEFT_OUT", "PopulationFit", "PopulationStatus", "fit_population"]
 
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 
@@ -58,51 +59,33 @@ class PopulationFit(Shown):
 
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
     given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
-    the latter. `sessions` is the same by session, None unless sessions were distinguished. `fits`
-    has each one's own fit by its labels.
+    the latter. `fits` has each one's own fit.
 
     Examples
     --------
     >>> from weberwhisk.behaviour import simulate_population
     >>> fit = fit_population(simulate_population(3, trials_per_level=10, seed=1)[0])
     >>> fit.parameters
-    ('weber_fraction', 'spread', 'bias_scale', 'mean_lapse_low', 'mean_lapse_high')
-    >>> fit.subjects["subject"].tolist(), fit.sessions is None
-    (['s1', 's2', 's3'], True)
+    ('weber_fraction', 'spread')
+    >>> fit.subjects["subject"].tolist()
+    ['s1', 's2', 's3']
     """
 
     _figure: ClassVar[str] = "population"
     status: PopulationStatus
     subjects: pd.DataFrame = field(repr=False)
-    sessions: pd.DataFrame | None = field(repr=False)
     population: Population | None = field(repr=False)
     believed: Priors = field(repr=False)
-    priors: PopulationPriors = field(repr=False)
-    lapses: tuple[str, ...] = field(repr=False)
+    spread_prior: Any = field(repr=False)
     notes: tuple[str, ...]
     seed: int
-    fits: Mapping[tuple[Hashable, ...], WeberFit] = field(default_factory=dict, repr=False)
+    fits: Mapping[Hashable, WeberFit] = field(default_factory=dict, repr=False)
+    parameters: ClassVar[tuple[str, ...]] = ("weber_fraction", "spread")
 
     @property
     def weber_fraction(self) -> float:
         """Posterior median of the population's median Weber fraction."""
         return float(self.quantile("weber_fraction", 0.5))
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the population's parameters.
-
-        `weber_fraction` is its median, `spread` and `session_spread` are standard deviations of
-        ln k, `bias_scale` the factor by which biases are wider than their prior in a single fit,
-        `mean_lapse_low` and `mean_lapse_high` averages over the animals.
-        """
-        spreads = ("spread",) if self.sessions is None else ("spread", "session_spread")
-        biases = ("bias_scale",) if self._has_biases else ()
-        return ("weber_fraction", *spreads, *biases, *(f"mean_{name}" for name in self.lapses))
-
-    @property
-    def _has_biases(self) -> bool:
-        return self.population is not None and self.population.values["bias_scale"].size > 1
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
@@ -128,29 +111,9 @@ class PopulationFit(Shown):
 
     def _nodes(self, parameter: str) -> tuple[Array, Array]:
         _checks.one_of("parameter", parameter, self.parameters)
-        if parameter not in self._known:
-            self._known[parameter] = self._interpolated(parameter)
-        return self._known[parameter]
-
-    @cached_property
-    def _known(self) -> dict[str, tuple[Array, Array]]:
-        """Nodes by parameter: report, table, JSON and figure ask for the same ones."""
-        return {}
-
-    def _interpolated(self, parameter: str) -> tuple[Array, Array]:
         if self.population is None:
             raise ValueError(f"there is no population to speak of: {self.status.value}.")
-        if parameter.startswith("mean_"):
-            (mean, spread), mass = self.population.nodes("lapse_mean", "lapse_spread")
-            z = np.linspace(-5, 5, 81)
-            share = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
-            scores = np.clip(mean[:, None] + spread[:, None] * z, -8.0, 8.0)
-            return self.believed.value(parameter.removeprefix("mean_"), scores) @ share, mass
-        if parameter == "weber_fraction":
-            (log_k,), mass = self.population.nodes(NAMES[0])
-            return np.exp(log_k), mass
-        (values,), mass = self.population.nodes(parameter)
-        return values, mass
+        return self.population.nodes(parameter)
 
     @property
     def log_evidence(self) -> float:
@@ -170,18 +133,30 @@ class PopulationFit(Shown):
 
     def report(self) -> str:
         """What the animals say together, and each of them, in words."""
-        return report.population_report(self)
+        lines = [sentence(self.status.value)]
+        if self.population is not None:
+            for name in self.parameters:
+                low, high = self.interval(parameter=name)
+                middle = float(self.quantile(name, 0.5))
+                words = {"weber_fraction": "median Weber fraction"}.get(name, name)
+                lines.append(f"Population, {words}: {interval_text(middle, low, high)}.")
+        for row in self.subjects.to_dict("records"):
+            k = "left out"
+            if row["weber_fraction"] == row["weber_fraction"]:
+                k = f"k = {interval_text(row['weber_fraction'], row['lower'], row['upper'])}"
+                alone = interval_text(row["alone"], row["alone_lower"], row["alone_upper"])
+                k += f"; from its own trials alone {alone}"
+            lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
+        return "\n".join([*lines, *self.notes]) + "\n"
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use the fit, ready for JSON."""
-        none, sessions = self.population is None, self.sessions
         described = {
             "status": self.status.name,
             "message": self.status.value,
             "notes": self.notes,
-            "population": {} if none else self.summary().to_dict(orient="index"),
+            "population": {} if self.population is None else self.summary().to_dict("index"),
             "subjects": self.subjects.to_dict("records"),
-            "sessions": None if sessions is None else sessions.to_dict("records"),
             "log_evidence": self.log_evidence,
             "error": None if self.population is None else self.population.error,
             "seed": self.seed,
@@ -197,11 +172,6 @@ class PopulationFit(Shown):
         if self.population is None:
             raise ValueError(f"there is no population to draw from: {self.status.value}.")
         sample = self.population.draws(4 * draws, self.seed)
-        sample["weber_fraction"] = np.exp(sample.pop(NAMES[0]))
-        if self.sessions is None:
-            del sample["session_spread"]
-        if not self._has_biases:
-            del sample["bias_scale"]
         return to_arviz(
             {name: values.reshape(4, draws) for name, values in sample.items()},
             attrs={"status": self.status.value},
@@ -215,42 +185,35 @@ def _quantile(values: Array, mass: Array, probability: ArrayLike) -> Array:
     return np.interp(np.asarray(probability, dtype=float), below, values[order])
 
 
-@renamed_arguments(percept="encoding")
 @one_blas_thread
 def fit_population(
     trials: Trials,
     *,
-    sessions: bool = False,
     encoding: Any = None,
     observer: Any = None,
     bias: str | None = None,
     noise: str = "weber",
     priors: Any = None,
-    population: PopulationPriors | None = None,
+    spread_prior: Any = None,
     seed: int = 0,
 ) -> PopulationFit:
     """Fit many animals at once: each learns from the others (partial pooling).
 
-    ln k of the animals is normal about the population's, and where sessions are distinguished,
-    those of a session about its animal's. So are the normal scores of the lapses, one mean and
-    spread for both ends; each session, or animal, has lapses of its own. Everything is integrated,
-    nothing sampled.
-
-    Biases are drawn from the prior of a single fit, all times one factor, the `bias_scale`: their
-    sd, where that prior is a standard normal. Without it k would be pulled wherever biases are
-    narrower or wider than believed (see `weberwhisk.behaviour.axes`).
+    ln k of the animals is normal about the population's; `weber_fraction` is its median, `spread`
+    its standard deviation. Each animal has lapses and biases of its own, with the priors of a
+    single fit. Everything is integrated, nothing sampled.
 
     Parameters
     ----------
     trials : Trials
-        With a column `subject`, and `session` if these are distinguished. Sessions without a
-        subject are one animal's.
-    sessions : bool
-        Let the Weber fraction of an animal vary between sessions.
+        With a column `subject`.
     encoding, observer, bias, noise, priors
-        As for `fit_weber`, the same for all animals. `{"weber_fraction": "levels"}` lays the prior
-        of their median about the geometric mean of what each animal's easiest pair says.
-    population : PopulationPriors, optional
+        As for `fit_weber`, the same for all animals; the prior of the population's median is that
+        of the Weber fraction. `{"weber_fraction": "levels"}` lays it about the geometric mean of
+        what each animal's easiest pair says.
+    spread_prior : frozen SciPy distribution, optional
+        Of the sd of ln k between animals: by default half-normal of 0.5. Two animals of a spread of
+        0.5 differ by a factor of 1.8.
     seed : int
         Of draws only.
 
@@ -262,7 +225,7 @@ def fit_population(
     Raises
     ------
     ValueError
-        Where the table has no subjects, or no sessions to distinguish.
+        Where the table has no subjects.
 
     Examples
     --------
@@ -276,18 +239,19 @@ def fit_population(
     True
     """
     check_trials(trials)
-    if population is not None:
-        hint = "write PopulationPriors(spread=scipy.stats.halfnorm(scale=0.5)), say"
-        _checks.kind("population", population, "PopulationPriors", "lapse_spread", hint)
+    prior = SPREAD if spread_prior is None else spread_prior
+    check_distribution("spread", prior)
+    if (low := float(prior.support()[0])) < 0:
+        raise ValueError(
+            f"the prior of spread must not reach below zero, got support from {low:g}; give for "
+            "example scipy.stats.halfnorm(scale=0.5)."
+        )
     _checks.generator(seed)
-    if sessions and "subject" not in trials.frame:
-        trials = replace(trials, frame=trials.frame.assign(subject="the animal"))
-    for column, wanted in (("subject", True), ("session", sessions)):
-        if wanted and column not in trials.frame:
-            raise ValueError(
-                f"{trials.source}: there is no column {column!r} to tell {column}s apart; map one "
-                f"with columns={{{column!r}: '<its name>'}} when the table is read."
-            )
+    if "subject" not in trials.frame:
+        raise ValueError(
+            f"{trials.source}: there is no column 'subject' to tell subjects apart; map one with "
+            "columns={'subject': '<its name>'} when the table is read."
+        )
     unit_known = trials.scale == "linear" or trials.log_unit is not None
     each = (trials.select(subject=subject).cells() for subject in trials.subjects)
     encoded = encoding_of(trials, encoding, observer, noise)
@@ -299,65 +263,40 @@ def fit_population(
             "out of priors, or fix the lapses alone."
         )
     options = {"encoding": encoding, "observer": observer, "bias": bias, "noise": noise}
+    parts = {subject: trials.select(subject=subject) for subject in trials.subjects}
     fits = {
-        labels: fit_weber(part, priors=believed, method="quadrature", seed=seed, **options)
+        subject: fit_weber(part, priors=believed, method="quadrature", seed=seed, **options)
+        for subject, part in parts.items()
         if part.n_trials
-        else None
-        for labels, part in _members(trials, sessions)
     }
-    own = pd.DataFrame([_row(labels, fit) for labels, fit in fits.items()])
+    own = pd.DataFrame([_row(subject, fits.get(subject)) for subject in parts])
     left_out = own["status"].isin([status.name for status in LEFT_OUT])
     notes = tuple(
-        f"{' '.join(map(str, labels))} stays out: {FitStatus[status].message}."
-        for labels, status, out in zip(fits, own["status"], left_out, strict=True)
-        if out
+        f"{subject} stays out: {FitStatus[status].message}."
+        for subject, status in own.loc[left_out, ["subject", "status"]].itertuples(index=False)
     )
-    prior = population or PopulationPriors()
-    lapses = tuple(name for name in trials.task.lapses if not believed.is_fixed(name))
-    shared = believed, prior, lapses, notes, seed, {key: fit for key, fit in fits.items() if fit}
+    shared = believed, prior, notes, seed, fits
     if left_out.all():
-        status = PopulationStatus.NO_TRIALS
-        return PopulationFit(status, own, None, None, *shared)
+        return PopulationFit(PopulationStatus.NO_TRIALS, own, None, *shared)
     kept = own[~left_out]
-    animals = kept["subject"].unique()
-    chosen = [fit for fit, out in zip(fits.values(), left_out, strict=True) if fit and not out]
-    draws, models = [f.posterior.draws() for f in chosen], [f.model.merged() for f in chosen]
-    scales = likely_scales(models, draws, prior.bias_scale)
-    members = Members(
-        tuple(tabulate(m, d, scales) for m, d in zip(models, draws, strict=True)),
-        pd.factorize(kept["subject"])[0],
-        sessions,
-        scales,
-    )
+    likelihoods = []
+    for subject in kept["subject"]:
+        fit = fits[subject]
+        likelihoods.append(of_fraction(fit.model.merged(), fit.weber_fraction))
     weber = believed.weber_fraction
-    found = integrate_population(members, prior, lambda x: weber.logpdf(np.exp(x)) + x)
-    table = _with_quantiles(own, kept.index, found.log_k, found.members)
-    status = _status(found, prior, animals.size)
-    if not sessions:
-        return PopulationFit(status, table, None, found, *shared)
-    subjects = own.groupby("subject", sort=False)["n"].sum().reset_index()
-    at = subjects.index[subjects["subject"].isin(animals)]
-    subjects = _with_quantiles(subjects, at, found.log_k, found.animals)
-    return PopulationFit(status, subjects, table, found, *shared)
+    found = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, prior)
+    quantiles = [np.exp(_quantile(found.log_k, m, [0.5, 0.025, 0.975])) for m in found.animals]
+    names = ["weber_fraction", "lower", "upper"]
+    table = own.join(pd.DataFrame(quantiles, index=kept.index, columns=names))
+    return PopulationFit(_status(found, prior, len(kept)), table, found, *shared)
 
 
-def _members(trials: Trials, sessions: bool) -> Iterator[tuple[tuple[Any, ...], Trials]]:
-    """Every animal, or every session of every animal, with its labels."""
-    for subject in trials.subjects:
-        own = trials.select(subject=subject)
-        if not sessions:
-            yield (subject,), own
-            continue
-        for session in own.sessions:
-            yield (subject, session), own.select(session=session)
-
-
-def _row(labels: tuple[Any, ...], fit: WeberFit | None) -> dict[str, Any]:
+def _row(subject: Hashable, fit: WeberFit | None) -> dict[str, Any]:
     low, middle, high = (
         fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975]) if fit else [np.nan] * 3
     )
     return {
-        **dict(zip(("subject", "session"), labels, strict=False)),
+        "subject": subject,
         "n": fit.trials.n_trials if fit else 0,
         "alone": float(middle),
         "alone_lower": float(low),
@@ -366,23 +305,16 @@ def _row(labels: tuple[Any, ...], fit: WeberFit | None) -> dict[str, Any]:
     }
 
 
-def _with_quantiles(table: pd.DataFrame, rows: pd.Index, log_k: Array, mass: Array) -> pd.DataFrame:
-    """The table with medians and 95 % intervals of exp(ln k); NaN for those left out."""
-    found = [np.exp(_quantile(log_k, own, [0.5, 0.025, 0.975])) for own in mass]
-    names = ["weber_fraction", "lower", "upper"]
-    return table.join(pd.DataFrame(found, index=rows, columns=names))
-
-
 def _status(
-    found: Population, prior: PopulationPriors, animals: int, of_prior: float = 0.8
+    found: Population, prior: Any, animals: int, of_prior: float = 0.8
 ) -> PopulationStatus:
     """The spread is uninformed where its sd is more than that share of the prior's."""
     if found.error > 0.02:
         return PopulationStatus.NOT_CONVERGED
     if animals == 1:
         return PopulationStatus.ONE_ANIMAL
-    (values,), mass = found.nodes("spread")
+    values, mass = found.nodes("spread")
     sd = np.sqrt(mass @ (values - mass @ values) ** 2)
-    if sd > of_prior * float(prior.spread.std()):
+    if sd > of_prior * float(prior.std()):
         return PopulationStatus.SPREAD_UNINFORMED
     return PopulationStatus.DETERMINED

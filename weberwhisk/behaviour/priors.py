@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
+from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
@@ -17,7 +18,7 @@ from .. import _checks
 from .._values import Array
 from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
-from .psychometric import SameDifferent, Task, YesNo
+from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
@@ -29,6 +30,7 @@ _WEBER = stats.lognorm(np.log(3.0), scale=0.1)
 _LAPSE = stats.beta(0.7, 20.0)
 _LAPSE_BY_LEVELS = stats.beta(0.5, 9.5)
 _BIAS = stats.norm(0.0, 1.0)
+SPREAD = stats.halfnorm(scale=0.5)  # of ln k between animals
 # "Different" must be said of a difference: a criterion below zero says it of everything.
 _SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
 
@@ -52,9 +54,8 @@ class Priors:
       squared error of ln k over a stated population of animals and designs, 0.28 over 2400 animals
       and 0.23 over 2400 held out, where Beta(0.3, 3) has 0.32 and 0.31 (`analyses/lapse_prior.md`);
       95 % intervals hold k in 93 and 96 %. Where one answer in ten is lost, k comes out a fifth too
-      high. `WeberFit.lapse_sensitivity` shows how far a fit hangs on it; animals or sessions fitted
-      together (`fit_population`) learn their lapses from each other. State what you know of the
-      animal.
+      high. `WeberFit.lapse_sensitivity` shows how far a fit depends on it. State what you know of
+      the animal.
     - `bias`: standard normal in sds of the difference between the two signals. The proportion of
       "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
       `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
@@ -183,46 +184,6 @@ class Priors:
         return in_words(prior) + about
 
 
-@dataclass(frozen=True, eq=False)
-class PopulationPriors:
-    """Prior beliefs about a population: frozen SciPy distributions.
-
-    - `spread`: standard deviation of ln k between animals: half-normal of 0.5. Two animals of a
-      spread of 0.5 differ by a factor of 1.8.
-    - `session_spread`: the same between sessions of one animal: half-normal of 0.3.
-    - `lapse_mean`, `lapse_spread`: mean and standard deviation over the animals of the normal
-      scores of their lapses, where (0, 1) is the prior of a single fit. Standard normal, and
-      log-normal with median 0.7 and a factor of 1.6 either way.
-    - `bias_scale`: factor by which the biases of the animals (and of their sessions and standards)
-      are wider than in the prior of a single fit, half-normal of 1. With that prior's default, a
-      standard normal, it is the sd of the biases.
-
-    The prior of the population's median Weber fraction is that of a single fit.
-
-    Examples
-    --------
-    >>> round(float(PopulationPriors().spread.mean()), 2)
-    0.4
-    >>> wide = PopulationPriors(spread=stats.halfnorm(scale=1.0))
-    """
-
-    spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.5))
-    session_spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.3))
-    lapse_mean: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
-    lapse_spread: Any = field(default_factory=lambda: stats.lognorm(0.5, scale=0.7))
-    bias_scale: Any = field(default_factory=lambda: stats.halfnorm(scale=1.0))
-
-    def __post_init__(self) -> None:
-        for name in ("spread", "session_spread", "lapse_mean", "lapse_spread", "bias_scale"):
-            check_distribution(name, getattr(self, name))
-            low = float(getattr(self, name).support()[0])
-            if low < 0 and name != "lapse_mean":
-                raise ValueError(
-                    f"the prior of {name} must not reach below zero, got support from {low:g}; "
-                    "give for example scipy.stats.halfnorm(scale=0.5)."
-                )
-
-
 @lru_cache(maxsize=256)
 def _moments(prior: Any) -> tuple[float, float]:
     mean, sd = float(prior.mean()), float(prior.std())
@@ -247,6 +208,60 @@ def quantiles(prior: Any) -> Any:
         return CubicSpline(z, value)
     log_value = CubicSpline(z, np.log(np.maximum(value, TINY)))
     return lambda score: np.exp(log_value(score))
+
+
+@dataclass(frozen=True)
+class LapseTransform:
+    """A variance-stabilising coordinate t of a normal score z; z itself without `to_score`.
+
+    In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of
+    1, and a large one from the answers, over a width that shrinks with their number. The coordinate
+    counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of
+    N answers has an sd of 1/√N. Even nodes in t are then fine where they must be.
+    """
+
+    to_score: Any = None
+    to_coordinate: Any = None
+    ends: tuple[float, float] = (-REACH, REACH)
+
+    def score(self, t: ArrayLike) -> Array:
+        """z at t."""
+        t = np.asarray(t, dtype=float)
+        return t if self.to_score is None else self.to_score(_within(t, *self.ends))
+
+    def coordinate(self, z: ArrayLike) -> Array:
+        """t at z."""
+        z = np.asarray(z, dtype=float)
+        return z if self.to_score is None else self.to_coordinate(_within(z, -REACH, REACH))
+
+    def slope(self, t: ArrayLike) -> Array:
+        """dz/dt at t."""
+        t = np.asarray(t, dtype=float)
+        if self.to_score is None:
+            return np.ones(t.shape)
+        return self.to_score(_within(t, *self.ends), 1)
+
+
+def _within(values: Array, low: float, high: float) -> Array:
+    return np.minimum(np.maximum(values, low), high)  # half of what np.clip costs
+
+
+PLAIN = LapseTransform()
+
+
+def lapse_transform(prior: Any, answers: float) -> LapseTransform:
+    """The coordinate for a lapse with that prior, and so many answers to learn it from."""
+    return _transform(prior, int(np.round(np.log2(max(answers, 1.0)))))
+
+
+@lru_cache(maxsize=256)
+def _transform(prior: Any, doublings: int) -> LapseTransform:
+    z = np.linspace(-REACH, REACH, 1441)
+    arc = CubicSpline(z, 2 * np.arcsin(np.sqrt(np.clip(quantiles(prior)(z), 0.0, 1.0))))
+    density = np.sqrt(1 + 2.0**doublings * arc(z, 1) ** 2)
+    t = cumulative_simpson(density, x=z, initial=0.0)
+    t = t - t[z.size // 2]
+    return LapseTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
 
 
 def check_distribution(name: str, prior: Any) -> None:
@@ -286,7 +301,7 @@ def levels_prior(
     Examples
     --------
     >>> pair = UnitEncodings(np.ones(1), np.ones(1), np.array([1.3]), np.array([1.3]))
-    >>> from .psychometric import task_named
+    >>> from weberwhisk.behaviour import task_named
     >>> prior = levels_prior([pair], task_named("2AFC"))
     >>> float(np.round(prior.median(), 4))  # 0.3 / hypot(1, 1.3) / 1.5
     0.1219

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from .. import _checks
-from .._values import Array, renamed_arguments
+from .._values import Array
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,
@@ -26,14 +26,14 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .psychometric import response_probability, task_named
+from .psychometric import response_probability
+from .tasks import task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
 
 
-@renamed_arguments(percept="encoding")
 def simulate_trials(
     *,
     weber_fraction: ArrayLike = 0.1,
@@ -90,8 +90,7 @@ def simulate_trials(
         `weberwhisk.behaviour.effects`.
     order : {"standard first", "random"}
         "random": in every other trial of each pair the comparison is stimulus 1. Only then is the
-        order effect (the `bias`) distinguished from a preference for the comparison
-        (`effects.ComparisonBias`).
+        order effect (the `bias`) distinguished from a preference for the comparison.
     sessions : int
         The trials are dealt out evenly over this many sessions.
     subject : str, optional
@@ -309,7 +308,6 @@ def responses(
     return answer
 
 
-@renamed_arguments(percept="encoding")
 def simulate_population(
     subjects: int,
     *,
@@ -420,7 +418,6 @@ def _rounded(values: Array) -> Array:
 TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 
 
-@renamed_arguments(percept="encoding")
 def simulate_responses(
     table: pd.DataFrame,
     animals: pd.DataFrame,

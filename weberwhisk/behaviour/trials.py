@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,10 +14,7 @@ from numpy.typing import ArrayLike
 from .. import _checks
 from .._values import Array, Flags, Index
 from ..output import atomic_write, csv_text
-
-if TYPE_CHECKING:
-    from .psychometric import Task
-
+from .tasks import Task
 
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")

@@ -97,7 +97,7 @@ _SHARED: dict[str, Any] = {
     ],
     "receptors": Annotated[
         str | None,
-        "Noise of forces: weber, log-normal, near-miss=<exponent>, floor=<sd>, "
+        "Noise of forces: weber, log-normal, floor=<sd>, "
         "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
         "length.  [default: weber]",
         {"metavar": "NAME"},

@@ -25,13 +25,12 @@ from ..design.placement import RULES
 from ..design.session import Session, converse
 from ..inference import default_noise
 from ..output import Run, atomic_write, csv_text, to_json
-from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating
+from ..receptors import GeneralisedWeber, LogNormal, ReceptorNoise, Saturating
 
 _Model = Callable[[float, Array, Array], ReceptorNoise]
 #: Receptors of a number, the signals at half the length, and floors of signals that change sign.
 #: Their own Weber fraction, 0.1, is the scale of the one that is fitted.
 RECEPTORS: dict[str, _Model] = {
-    "near-miss": lambda number, typical, _: NearMiss(0.1, exponent=number, reference=typical),
     "floor": lambda number, typical, _: GeneralisedWeber(0.1, floor=number * typical),
     "ceiling": lambda number, typical, floor: GeneralisedWeber(
         0.1, floor=floor, ceiling=number * typical
@@ -131,8 +130,8 @@ def simulate(
     bias_drift: Annotated[float, "Change of the bias from the first session to the last."] = 0.0,
     effect: Annotated[
         opt.Texts,
-        "What else moves the answers, as in fit, with its parameter: history:0.5, "
-        "past-contraction=20:0.3; may be repeated.",
+        "What else moves the answers, as in fit, with its parameter: history:0.5; "
+        "may be repeated.",
         {"metavar": "NAME:VALUE"},
     ] = None,
     missing: Annotated[float, "Share of trials without an answer."] = 0.0,

@@ -12,14 +12,14 @@ import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
-from .._values import pd
+from .._values import counted, pd
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
 from ..cli import numbers
 from ..contacts.files import load_table
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
-from ..design.plan_file import assumptions, offsets_in_words
+from ..design.words import assumptions, offsets_in_words
 from ..figures.designs import fill
 from ..output import Run, atomic_write, versions_in_words
 
@@ -160,8 +160,8 @@ def _summary(plan: Plan) -> str:
     scheme = plan.scheme
     lines = [
         f"Goal: {plan.goal}.",
-        f"{scheme.animals} animal{'s' * (scheme.animals > 1)} × {scheme.n_trials} trials in "
-        f"{plan.sessions} session{'s' * (plan.sessions > 1)}, {scheme.total_trials} in all:",
+        f"{counted(scheme.animals, 'animal')} × {scheme.n_trials} trials in "
+        f"{counted(plan.sessions, 'session')}, {scheme.total_trials} in all:",
     ]
     for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
         offsets = offsets_in_words(row)

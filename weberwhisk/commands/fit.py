@@ -12,19 +12,12 @@ import weberwhisk as ww
 from .. import _checks
 from .. import commands as opt
 from .._values import pd
-from ..behaviour import (
-    CueEncoding,
-    FitStatus,
-    compare_cues,
-    compare_drift,
-    compare_noise,
-    compare_taper,
-    with_distances,
-)
-from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
+from ..behaviour import CueEncoding, Encoding, FitStatus, with_distances
+from ..behaviour.effects import EFFECTS, Effect, effect_named
 from ..behaviour.trials import in_millimetres
 from ..cli import numbers
 from ..contacts.files import load_table
+from ..design import cues, noises, taper
 from ..output import Run, atomic_write, to_json
 from .choices import distance_encoding
 
@@ -46,7 +39,6 @@ AS_OPTIONS = (
      r"--lapse-prior \1,\2"),
     (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
     (r"\(priors=\)", "(--lapse-prior)"),
-    (r"fit_population\(trials, sessions=True\)", "--by-session"),
 )  # fmt: skip
 
 
@@ -82,7 +74,7 @@ def fit(
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
         opt.Texts,
-        f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be repeated.",
+        f"What else moves the answers: {', '.join(EFFECTS)}; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     lapse_prior: Annotated[
@@ -98,14 +90,10 @@ def fit(
     ] = None,
     comparison: Annotated[
         opt.Text,
-        "Other observers beside the one fitted: noise (Weber, with a floor, constant), drift "
-        "(stationary or learning), law (one Weber fraction or one a standard), taper or cues (of "
-        "the whisker).",
+        "Other observers beside the one fitted: law (one Weber fraction or one a standard), noise "
+        "(Weber's or constant), taper or cues (of the whisker), or an effect.",
     ] = None,
     together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
-    by_session: Annotated[
-        bool, "As --together, and every session has its own Weber fraction."
-    ] = False,
     method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
@@ -130,7 +118,6 @@ def fit(
     inputs = opt.as_asked(locals())
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
-    together = together or by_session
     trials = _selected(trials, subject, session, together)
     if encoding is not None:
         _refuse_metres(trials, encoding)
@@ -150,10 +137,7 @@ def fit(
                 "--together fits the plain observer, by quadrature; leave --effect, --compare and "
                 "--method out."
             )
-        options = {
-            "sessions": by_session, "encoding": encoding, "bias": bias, "noise": noise,
-            "priors": priors,
-        }  # fmt: skip
+        options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
         _fit_together(trials, options, inputs, seed, out, as_json)
         return
     effects = [effect_named(name) for name in effect or ()]
@@ -167,7 +151,7 @@ def fit(
         answer = result.to_dict()
         report = _as_options(result.report())
         if comparison is not None:
-            table, verdict = compared(comparison, result, whisker, priors)
+            table, verdict = compared(comparison, result, whisker)
             run.table("comparison", table)
             answer["comparison"] = {"rows": table.to_dict(orient="records"), "verdict": verdict}
             report += f"\nComparison.\n{verdict}\n"
@@ -184,37 +168,39 @@ def fit(
 
 
 def compared(
-    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None, priors: dict[str, Any] | None
+    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None
 ) -> tuple[pd.DataFrame, str]:
-    """A table and a verdict on the trials of a fit, with its encoding, bias, noise, effects and
-    priors."""
-    _checks.one_of("--compare", name, ("noise", "drift", "law", "taper", "cues"))
-    trials = fit.trials
-    options: dict[str, Any] = {
-        "bias": fit.bias, "priors": priors, "noise": fit.noise, "effects": fit.model.effects,
-    }  # fmt: skip
+    """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
+    _checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":
         test = fit.weber_law_test()
         return test.by_standard, test.report()
-    if name in ("noise", "drift"):
-        compare = compare_noise if name == "noise" else compare_drift
-        found = compare(trials, encoding=fit.encoding, **options)
+
+    def fitted(encoding: Encoding, *more: Effect) -> ww.WeberFit:
+        return ww.fit_weber(
+            fit.trials, encoding=encoding, bias=fit.bias, noise=fit.noise,
+            effects=[*fit.model.effects, *more], priors=fit.model.priors,
+        )  # fmt: skip
+
+    if name in EFFECTS:
+        found = ww.compare({f"without {name}": fit, name: fitted(fit.encoding, EFFECTS[name])})
         return found.table.reset_index(), found.report()
-    if whisker is None or not isinstance(fit.encoding, CueEncoding):
+    if name == "noise":
+        given = noises(fit.encoding, fit.standards)
+    elif whisker is None or not isinstance(fit.encoding, CueEncoding):
         raise ValueError(
             f"--compare {name} needs a whisker, got none; write --identity C2, or a shape."
         )
-    options |= {"unit": fit.encoding.unit}
-    if name == "taper":
-        found = compare_taper(trials, whisker, **options)
+    elif name == "taper":
+        given = taper(whisker, unit=fit.encoding.unit)
+    elif (angle := fit.encoding.deflection_angle) is None:
+        raise ValueError(
+            "--compare cues needs the deflection angle of the contacts; write --cue force-map "
+            "--deflection-angle-deg 10, say."
+        )
     else:
-        angle = fit.encoding.deflection_angle
-        if angle is None:
-            raise ValueError(
-                "--compare cues needs the deflection angle of the contacts; write --cue force-map "
-                "--deflection-angle-deg 10, say."
-            )
-        found = compare_cues(trials, whisker, deflection_angle=angle, **options)
+        given = cues(whisker, angle, unit=fit.encoding.unit)
+    found = ww.compare({h.name: fitted(h.encoding) for h in given})
     return found.table.reset_index(), found.report()
 
 
@@ -277,8 +263,6 @@ def _fit_together(
         except ValueError as error:
             raise ValueError(_as_options(str(error))) from None
         run.table("subjects", found.subjects)
-        if found.sessions is not None:
-            run.table("sessions", found.sessions)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
@@ -289,7 +273,7 @@ def _fit_together(
         print(found.to_json())
         return
     tables = {"summary": None if found.population is None else found.summary()}
-    tables |= {"sessions": found.sessions, "subjects": found.subjects}
+    tables |= {"subjects": found.subjects}
     words = [
         f"\n{table.to_string(index=name == 'summary', float_format='{:.3g}'.format)}"
         for name, table in tables.items()

@@ -4,7 +4,6 @@ A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that 
 it runs, a placer chooses each trial from the answers to those before.
 """
 
-from .._values import renamed_names
 from .belief import information
 from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
@@ -52,13 +51,3 @@ __all__ = [
     "trial_lists",
     "with_priors",
 ]
-
-__getattr__ = renamed_names(
-    __name__,
-    {
-        "Animals": "SubjectPopulation",
-        "Finding": "AnalysisResult",
-        "Rehearsal": "SimulatedStudy",
-        "rehearse": "simulate_study",
-    },
-)

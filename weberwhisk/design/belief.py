@@ -24,11 +24,11 @@ from scipy.special import entr
 
 from .. import _checks
 from .._values import Array
-from ..behaviour.axes import bias_at, lapse_prior, lapse_transform, score_prior
+from ..behaviour.axes import bias_at, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
 from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.priors import TINY
+from ..behaviour.priors import TINY, lapse_transform
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks, campaign
-from .._values import Shown, interval_text
+from .._values import Shown, counted, interval_text
 from ..behaviour.encodings import CueEncoding
 from ..behaviour.simulate import simulate_responses
 from ..behaviour.verdict import FitStatus
@@ -308,7 +308,7 @@ class SimulatedStudy(Shown):
         """What came out, in plain words."""
         plan, seen = self.plan, self.summary()
         lines = [
-            f"{plan.title}: {plan.scheme.animals} animal{'s' * (plan.scheme.animals > 1)} × "
+            f"{plan.title}: {counted(plan.scheme.animals, 'animal')} × "
             f"{plan.scheme.n_trials} trials, simulated {int(seen['runs'].iloc[0])} times under "
             f"{'each hypothesis' if len(seen) > 1 else 'the hypothesis'} and analysed as planned.",
             f"The goal is {plan.goal}.",

@@ -11,10 +11,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Array, renamed_arguments, renamed_attribute
-from ..behaviour.comparison import cue_encodings, taper_encodings
+from .._values import Array
 from ..behaviour.encodings import (
     ConstantNoise,
+    CueEncoding,
     Encoding,
     checked_encoding,
     refuse_out_of_reach,
@@ -23,9 +23,11 @@ from ..behaviour.encodings import (
 from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
 from ..behaviour.priors import DEFAULTS, Priors, of_task
-from ..behaviour.psychometric import Task, task_named
 from ..behaviour.simulate import draw_animals
+from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
+from ..cues import Compliance, ForceMap
+from ..inference.observer import Observer
 from ..whisker import Whisker
 from .scheme import Scheme
 
@@ -64,8 +66,6 @@ class Hypothesis:
     bias: str = "per standard"
     noise: str = "weber"
     task: str = "2AFC"
-
-    percept = renamed_attribute("Hypothesis", "percept", "encoding")
 
     def __post_init__(self) -> None:
         checked_encoding(self.encoding)
@@ -147,23 +147,25 @@ class Hypothesis:
         return Trials(frame, self.asked, source="expected answers")
 
 
-Hypothesis.__init__ = renamed_arguments(percept="encoding")(  # type: ignore[method-assign]
-    Hypothesis.__init__
-)
-
-
 def options_of(hypothesis: Hypothesis) -> dict[str, Any]:
     """What `fit_weber` and `fit_population` take from a hypothesis."""
     return {name: getattr(hypothesis, name) for name in ("encoding", "priors", "bias", "noise")}
 
 
-def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
-    """The paper's prediction (3.5) against the cylinder's (3.6): as `compare_taper` fits them.
+def taper(
+    whisker: Whisker, *, unit: float = 1.0, **options: Any
+) -> tuple[Hypothesis, Hypothesis]:
+    """The paper's prediction: distance encoded through a tapered whisker, or through a cylinder.
+
+    Both by the compliance cue with Weber noise: the JND is k r (1 − r/A) or k r, equations (3.5)
+    and (3.6).
 
     Parameters
     ----------
     whisker : Whisker
         Tapered; the cylinder has its length and base radius.
+    unit : float
+        Metres in one unit of the stimuli.
     **options
         Of both hypotheses: `priors`, `bias`, `task`.
 
@@ -172,20 +174,31 @@ def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
     >>> [h.name for h in taper(Whisker(50e-3, 100e-6, 5e-6))]
     ['tapered', 'cylindrical']
     """
-    one, other = taper_encodings(whisker).items()
-    return Hypothesis(*one, **options), Hypothesis(*other, **options)
+    _check_whisker(whisker)
+    if whisker.tip_radius >= whisker.base_radius:
+        raise ValueError(
+            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
+            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
+        )
+    one, other = (
+        CueEncoding(Observer(w, Compliance()), unit=unit) for w in (whisker, whisker.cylinder())
+    )
+    return Hypothesis("tapered", one, **options), Hypothesis("cylindrical", other, **options)
 
 
 def cues(
-    whisker: Whisker, deflection_angle: float, **options: Any
+    whisker: Whisker, deflection_angle: float, *, unit: float = 1.0, **options: Any
 ) -> tuple[Hypothesis, Hypothesis]:
-    """The compliance cue (§2e) against the moment–axial-force map (§2f), as `compare_cues`.
+    """The compliance cue (§2e) against the moment–axial-force map (§2f).
 
     Parameters
     ----------
     whisker : Whisker
+        Tapered: the map of a cylinder leaves distance open.
     deflection_angle : float
         rad, of every contact.
+    unit : float
+        Metres in one unit of the stimuli.
     **options
         Of both hypotheses.
 
@@ -194,11 +207,20 @@ def cues(
     >>> [h.name for h in cues(Whisker(50e-3, 100e-6, 5e-6), 0.1)]
     ['compliance', 'moment–axial-force map']
     """
-    one, other = cue_encodings(whisker, deflection_angle).items()
-    return Hypothesis(*one, **options), Hypothesis(*other, **options)
+    _check_whisker(whisker)
+    one = CueEncoding(Observer(whisker, Compliance()), unit=unit)
+    other = CueEncoding(Observer(whisker, ForceMap()), deflection_angle, unit)
+    return (
+        Hypothesis("compliance", one, **options),
+        Hypothesis("moment–axial-force map", other, **options),
+    )
 
 
-@renamed_arguments(percept="encoding")
+def _check_whisker(whisker: Whisker) -> None:
+    hint = "write Whisker.from_identity('C2'), say"
+    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
+
+
 def noises(
     encoding: Encoding, standards: ArrayLike, **options: Any
 ) -> tuple[Hypothesis, Hypothesis]:

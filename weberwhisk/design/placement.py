@@ -20,8 +20,10 @@ from scipy.special import ndtri, softmax
 from .. import _checks
 from .._values import Array
 from ..behaviour.encodings import LogEncoding
-from ..behaviour.fit import WeberFit, fit_weber, tails
-from ..behaviour.psychometric import SignedChoice, YesNo, decision_variable
+from ..behaviour.estimates import tails
+from ..behaviour.fit import WeberFit, fit_weber
+from ..behaviour.psychometric import decision_variable
+from ..behaviour.tasks import SignedChoice, YesNo
 from ..behaviour.trials import Cells, Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k

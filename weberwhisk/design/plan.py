@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from .. import _checks
-from .._values import Array, Shown
+from .._values import Array, Shown, counted
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
@@ -359,7 +359,7 @@ class Plan(Shown):
         standards = ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards)
         return (
             f"{self.title}; standards {standards} mm; {scheme.n_trials} trials an animal, "
-            f"{scheme.animals} animal{'s' * (scheme.animals > 1)}; goal: {self.goal}"
+            f"{counted(scheme.animals, 'animal')}; goal: {self.goal}"
         )
 
     def _table(self) -> pd.DataFrame:
@@ -384,8 +384,8 @@ class Plan(Shown):
             if row["trials"] == trials and row["animals"] == animals
         ]
         return (
-            f"Of simulated experiments with {trials} trials of each comparison and {animals} "
-            f"animal{'s' * int(animals > 1)}, the aim is reached by {', '.join(each)}."
+            f"Of simulated experiments with {trials} trials of each comparison and "
+            f"{counted(animals, 'animal')}, the aim is reached by {', '.join(each)}."
         )
 
 

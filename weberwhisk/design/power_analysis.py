@@ -116,9 +116,8 @@ def power(
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
-    of its fit; see `weberwhisk.design.experiments`. Several animals share a population, of their k,
-    of their lapses and of how widely their biases spread, as in `fit_population`.
-    `coverage` says how often intervals of k hold the truth, and
+    of its fit; see `weberwhisk.design.experiments`. Several animals share a population of ln k, as
+    in `fit_population`. `coverage` says how often intervals of k hold the truth, and
     the report where that is too seldom: then the animals are not as the priors have them.
 
     Parameters

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from .. import _checks
-from .._values import Array, renamed_arguments
+from .._values import Array
 from ..behaviour.encodings import (
     Encoding,
     checked_encoding,
@@ -22,7 +22,8 @@ from ..behaviour.encodings import (
     refuse_out_of_reach,
     unit_encodings,
 )
-from ..behaviour.psychometric import difference_sd, task_named
+from ..behaviour.psychometric import difference_sd
+from ..behaviour.tasks import task_named
 from ..behaviour.trials import Cells
 
 #: Trials of one experiment at most: what is listed must fit the memory.
@@ -112,7 +113,6 @@ class Scheme:
             )
 
     @classmethod
-    @renamed_arguments(percept="encoding")
     def spaced(
         cls,
         encoding: Encoding,
@@ -267,7 +267,6 @@ class Constraints:
         """Distances moved to the nearest position that the pole has."""
         return _snapped(distance, self.step)
 
-    @renamed_arguments(percept="encoding")
     def check(
         self,
         scheme: Scheme,
@@ -325,7 +324,6 @@ class Constraints:
             )
 
 
-@renamed_arguments(percept="encoding")
 def lattice(
     encoding: Encoding,
     standards: ArrayLike,
@@ -390,7 +388,6 @@ def lattice(
     return Scheme(at, rows)
 
 
-@renamed_arguments(percept="encoding")
 def easy_share(
     scheme: Scheme,
     encoding: Encoding,

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._values import pd
-from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
+from ..design.plan_file import plan_json
 from ..design.session import bpod_table, psychopy_tables
+from ..design.words import assumptions, offsets_in_words, preregistration
 from ..output import Run, atomic_write, csv_text
 from .style import (
     COLOURS,

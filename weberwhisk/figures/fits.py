@@ -283,8 +283,7 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     >>> ax.get_xlabel()
     'Weber fraction'
     """
-    table = fit.subjects if "alone" in fit.subjects else fit.sessions
-    assert table is not None
+    table = fit.subjects
     rows = table[table["weber_fraction"].notna()].sort_values("alone").reset_index(drop=True)
     ax = axes_or_new(ax, SINGLE if len(rows) < 30 else DOUBLE / 2, min(1.2 + 0.16 * len(rows), 9.0))
     y = np.arange(len(rows), dtype=float)
@@ -297,10 +296,7 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
         style = mark(i, elinewidth=0.9, markerfacecolor=face, label=f"{label}, 95 %")
         ax.errorbar(middle, y + shift, xerr=ends, **style)
     ax.axvspan(*fit.interval(0.95), color="0.9", zorder=0, label="population median, 95 %")
-    labels = [str(s) for s in rows["subject"]]
-    if "session" in rows:
-        labels = [f"{s}, {n}" for s, n in zip(rows["subject"], rows["session"], strict=True)]
-    ax.set_yticks(y, [drawable(label) for label in labels])
+    ax.set_yticks(y, [drawable(str(subject)) for subject in rows["subject"]])
     ax.set(xscale="log", xlabel="Weber fraction")
     log_numbers(ax.xaxis)
     return legend_above(ax)
@@ -322,23 +318,20 @@ def population(
     >>> axes[0].get_ylabel(), axes[-1].get_xlabel()
     ('Second reported greater', 'Weber fraction')
     """
-    fits = {labels: one for labels, one in fit.fits.items() if one.parameters}
+    fits = {animal: one for animal, one in fit.fits.items() if one.parameters}
     if ax is not None or not fits:
         return shrinkage(fit, ax)
     known = np.unique(np.concatenate([one.standards for one in fits.values()]))
     if known.size > 3:
         known = known[[0, known.size // 2, -1]]
-    animals = list(dict.fromkeys(labels[0] for labels in fits))
-    count = len(fit.subjects if fit.sessions is None else fit.sessions)
-    figure = open_figure(DOUBLE, min(max(2.9, 1.8 + 0.16 * count), 9.0))
+    figure = open_figure(DOUBLE, min(max(2.9, 1.8 + 0.16 * len(fit.subjects)), 9.0))
     grid = figure.add_gridspec(1, known.size + 1)
     axes: list[Axes] = []
     for i, standard in enumerate(known):
         axes.append(figure.add_subplot(grid[i], sharey=axes[0] if axes else None))
-        for (animal, *_), one in fits.items():
+        for number, (animal, one) in enumerate(fits.items()):
             if np.isclose(one.standards, standard).any():
-                number = animals.index(animal)
-                name = f"{drawable(animal)}, alone" if len(animals) <= 12 else "animals, alone"
+                name = f"{drawable(str(animal))}, alone" if len(fits) <= 12 else "animals, alone"
                 _animal(one, axes[-1], float(standard), number, name)
         axes[-1].set(title=f"standard {standard:.3g}", ylim=(-0.03, 1.03))
         axes[-1].xaxis.set_major_locator(MaxNLocator(4))

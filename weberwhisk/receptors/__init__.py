@@ -6,7 +6,6 @@ model               sd of a reading of a signal I              information about
 `Weber`             k·I (equation (3.1))                       1/k² + 2 at every I
 `GeneralisedWeber`  √(σ₀² + (k·I)²), up to a ceiling           falls below σ₀/k; 0 above a ceiling
 `Saturating`        of a response that levels off              falls smoothly about the ceiling
-`NearMiss`          k·I₀·(I/I₀)ᵐ                               grows as I²⁽¹⁻ᵐ⁾
 `LogNormal`         k·I, never across zero                     1/ln(1 + k²) at every I
 `SpikeCount`        counts of single afferents                 1/k² within their thresholds' range
 =================== ========================================== ==================================
@@ -19,11 +18,11 @@ angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors
 
 from .._values import Array
 from .gaussian import Gaussian, GeneralisedWeber, Saturating, Weber
-from .other_laws import Events, LogNormal, NearMiss
+from .other_laws import Events, LogNormal
 from .protocol import Component, Joint, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
 
 __all__ = [
     "Afferents", "Array", "Component", "Events", "Gaussian", "GeneralisedWeber", "Joint",
-    "LogNormal", "NearMiss", "ReceptorNoise", "Saturating", "Seed", "SpikeCount", "Weber",
+    "LogNormal", "ReceptorNoise", "Saturating", "Seed", "SpikeCount", "Weber",
 ]  # fmt: skip

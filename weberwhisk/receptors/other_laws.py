@@ -1,4 +1,4 @@
-"""Receptors that are not Gaussian with Weber's sd: log-normal readings, the near-miss, events."""
+"""Receptors that are not Gaussian with Weber's sd: log-normal readings, events."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative, number, positive
+from .._checks import finite, non_negative, number
 from .._values import Array, Flags, Index
-from .gaussian import Gaussian, Proportional, checked_correlation
+from .gaussian import Gaussian, Proportional
 from .protocol import ReceptorNoise, Seed
 
 #: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
@@ -140,76 +140,6 @@ class LogNormal(Proportional):
         """Mean of the logs, (..., S)."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.abs(signals)) - 0.5 * self.sigma**2)
-
-
-@dataclass(frozen=True, eq=False, repr=False, init=False)
-class NearMiss(Gaussian):
-    """The near-miss to Weber's law: sd = k·I₀·(|I|/I₀)ᵐ.
-
-    McGill & Goldberg (1968), Perception & Psychophysics 4, 105: for the intensity (energy) of
-    tones the logarithm of the JND grows by 9/10 of that of the intensity, so that the Weber
-    fraction falls slowly. No exponent is known for whiskers. m = 1 is Weber's law, m = 0 would be
-    constant noise.
-
-    Parameters
-    ----------
-    weber_fraction : float or sequence of float
-        k, the Weber fraction at the reference; one for all signals or one each.
-    exponent : float
-        m. If m belongs to an energy, that of its amplitude is 2m − 1.
-    reference : float or sequence of float
-        I₀, in the unit of each signal.
-    correlation : float
-        Correlation between signals, −1 to 1.
-
-    Raises
-    ------
-    ValueError
-        For a Weber fraction, exponent or reference that is not positive, a correlation outside
-        −1 … 1.
-
-    Examples
-    --------
-    >>> noise = NearMiss(0.1, exponent=0.9, reference=1e-6)
-    >>> noise.weber_fraction_at([1e-6, 1e-5]).round(4)
-    array([0.1   , 0.0794])
-    """
-
-    weber_fraction: Array
-    exponent: float
-    reference: Array
-    correlation: float
-
-    def __init__(
-        self,
-        weber_fraction: ArrayLike = 0.1,
-        *,
-        exponent: float = 0.9,
-        reference: ArrayLike,
-        correlation: float = 0.0,
-    ) -> None:
-        positive("exponent", exponent, "write 1 for Weber's law")
-        self._set(
-            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
-            exponent=number("exponent", exponent, "write 1 for Weber's law"),
-            reference=positive("reference", reference, "write it in the signal's unit"),
-            correlation=checked_correlation(correlation),
-        )
-
-    def weber_fraction_at(self, signals: ArrayLike) -> Array:
-        """sd/|signal|, (..., S)."""
-        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.weber_fraction * ratio ** (self.exponent - 1))
-
-    def sd(self, signals: ArrayLike) -> Array:
-        """k·I₀·(|I|/I₀)ᵐ, (..., S)."""
-        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
-        return np.asarray(self.weber_fraction * self.reference * ratio**self.exponent)
-
-    def slopes(self, signals: Array) -> tuple[Array, Array]:
-        slope = self.exponent * self.weber_fraction_at(signals) * np.sign(signals)
-        return np.ones_like(signals), slope
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

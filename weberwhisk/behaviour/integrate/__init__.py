@@ -86,10 +86,11 @@ def integrate(
             return grid
         outer, lapse, bias = finer[:-3], finer[-3:-1], finer[-1]
         steps = Steps(1.0, steps.outer * outer, steps.lapse * lapse, float(steps.bias * bias))
-    if grid is None:
-        grid, _ = _summed(
-            ChoiceNodes(model, windows, steps.at(1.0, 2.0), counts, np.float64), tolerance
-        )
+    while grid is None:  # something to show
+        steps = steps.at(1.0, 2.0)
+        at = ChoiceNodes(model, windows, steps, counts, np.float64)
+        if at.size < most / 4:
+            grid, _ = _summed(at, tolerance)
     return replace(grid, error=np.inf)
 
 

@@ -1,4 +1,4 @@
-"""Zooming in from the prior, many data sets of one design together, and tables of one animal.
+"""Zooming in from the prior, many data sets of one design together, and k of one animal.
 
 Steps are fine beside the narrowest bump that there can be: trapezoid sums over smooth bumps
 converge exponentially, so that log evidences err by some 0.01.
@@ -7,16 +7,14 @@ converge exponentially, so that log evidences err by some 0.01.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.stats import lognorm, norm
+from scipy.stats import lognorm
 
-from ..._values import Array, Flags, Index
+from ..._values import Array, Index
 from ..axes import (
-    BiasScales,
     Steps,
     Windows,
     everything,
@@ -25,12 +23,9 @@ from ..axes import (
     least_bias_sds,
     least_sds,
     outer_signals,
-    scaled_prior,
     score_prior,
-    with_tail,
 )
-from ..likelihood import Draws, WeberModel
-from ..priors import REACH, Priors
+from ..likelihood import WeberModel
 from .blocks import NOTHING, ChoiceNodes
 
 Single = NDArray[np.float32]
@@ -46,12 +41,14 @@ def zoomed(
     nodes: float = 12.0,
     slack: float = 2.5,
     by_node: bool = False,
+    most: float = 2e9,
 ) -> Windows:
     """Windows of every data set (R, C), of all that is no more than `cut` nats under its best node.
 
     `steps` are those of the last pass here, each `finer` than the one before; the first, over all
     of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
-    there is; what is the best is told `by_node` where any k may come to matter.
+    there is; what is the best is told `by_node` where any k may come to matter. Windows stay as
+    they are before a pass of more than `most` values.
     """
     windows = everything(model, len(counts))
     spans = [e[1].max() - e[0].min() for e in windows.ends]
@@ -63,7 +60,10 @@ def zoomed(
     # Nothing to zoom into where all is known, or within a few steps.
     zooms = int(np.ceil(np.log(max(coarsest / nodes, 1.0)) / np.log(finer)))
     for power in finer ** (-2.0 * np.arange(zooms, -1, -1)):
-        windows = _pass(model, counts, windows, steps.at(power), power * cut + slack, by_node)
+        at = ChoiceNodes(model, windows, steps.at(power), counts)
+        if at.size > most:
+            break
+        windows = _pass(at, windows, power * cut + slack, by_node)
     return windows
 
 
@@ -74,14 +74,11 @@ def narrowest_bias(model: WeberModel) -> float:
     return float(least_bias_sds(model, d, weight, np.linspace(-2.0, 2.0, 9)).min())
 
 
-def _pass(
-    model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut: float, by_node: bool
-) -> Windows:
+def _pass(at: ChoiceNodes, windows: Windows, cut: float, by_node: bool) -> Windows:
     """Smaller windows, by the highest log posterior with each outer node and one other."""
-    at = ChoiceNodes(model, windows, steps, counts)
-    count, size = len(counts), len(at.d)
-    prior = (steps.power * outer_prior(at.outer)).astype(np.float32)
-    weights = np.maximum(steps.power * lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
+    count, size, power = windows.ends.shape[2], len(at.d), at.steps.power
+    prior = (power * outer_prior(at.outer)).astype(np.float32)
+    weights = np.maximum(power * lapse_weights(at.model, *at.lapses), NOTHING).astype(np.float32)
     low, high = (np.full((size, a.size, count), -np.inf, np.float32) for a in at.lapses)
     biases: list[list[tuple[Index, Index, Array, Single]]]
     biases = [[] for _ in at.groups]
@@ -156,14 +153,21 @@ def _zoom_steps(steps: Steps) -> Steps:
     )
 
 
-def marginal(model: WeberModel, counts: Array, cut: float = 5.0) -> tuple[Array, Array]:
+def marginal(
+    model: WeberModel,
+    counts: Array,
+    cut: float = 5.0,
+    steps: Steps | None = None,
+    by_node: bool = False,
+) -> tuple[Array, Array]:
     """Scores of k (K,), and the log-likelihoods (R, K) there, biases and lapses integrated.
 
     Of counts (R, C), which need not be whole, of a model without effects; a node so many nats under
-    the best counts as empty.
+    the best counts as empty, or `by_node` under the best with the same k.
     """
-    steps = batch_steps(model)
-    at = ChoiceNodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
+    steps = steps or batch_steps(model)
+    windows = zoomed(model, counts, _zoom_steps(steps), cut, by_node=by_node)
+    at = ChoiceNodes(model, windows, steps, counts)
     weights = np.maximum(lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
     out = np.full((len(counts), at.outer[0].size), -np.inf)
     for block in at.blocks():
@@ -174,41 +178,19 @@ def marginal(model: WeberModel, counts: Array, cut: float = 5.0) -> tuple[Array,
     return at.outer[0], carried_on(out)
 
 
-@dataclass(frozen=True)
-class Likelihood:
-    """Log-likelihoods of R data sets on even nodes, biases integrated.
+def of_fraction(
+    model: WeberModel, middle: float, cut: float = 20.0, vague: float = 0.6
+) -> tuple[Array, Array]:
+    """Nodes of ln k (K,) and the log-likelihood of one animal there, lapses and biases integrated.
 
-    `scales` of the biases, S of them; `scores` (K,) of k; `low` and `high`, coordinates of the
-    lapses; `values` (S, K, Lo, Hi, R), of which nothing but what lies in the windows was computed.
+    Other animals of a population draw k to where this one's own posterior has nothing: nodes lie
+    about its `middle`, `vague` being the sd of the logarithm, as far as `cut` nats under the best.
     """
-
-    scales: BiasScales
-    scores: Array
-    low: Array
-    high: Array
-    values: NDArray[np.floating]
-
-
-def likelihood(
-    model: WeberModel,
-    counts: Array,
-    steps: Steps,
-    scales: BiasScales,
-    cut: float,
-    priors: Priors | None = None,
-) -> Likelihood:
-    """The same before the lapses are integrated, wherever it is above the best less `cut`, and for
-    biases that are as wide as a prior has them, narrower and wider: that of `priors`, where the
-    model's says no more than where to look for them and for k."""
-    believed = priors or model.priors
-    windows = zoomed(model, counts, _zoom_steps(steps), cut, by_node=priors is not None)
-    at = ChoiceNodes(model, windows, steps, counts)
-    shape = scales.nodes.size, *(a.size for a in (*at.outer, *at.lapses)), len(counts)
-    values = np.full(shape, NOTHING, dtype=np.float32)
-    for block in at.blocks(biases=lambda b, width: scaled_prior(believed, b, width, scales.nodes)):
-        for i, m in enumerate(block.outer):
-            values[:, m, block.low, block.high][..., block.rows] = block.log_like[:, i]
-    return Likelihood(scales, at.outer[0], *at.lapses, values)
+    believed = replace(model.priors, weber_fraction=lognorm(vague, scale=middle))
+    wide = replace(model, priors=believed)
+    steps = batch_steps(wide, k=0.9, lapse=0.8, bias=1.3)
+    scores, found = marginal(wide, model.cells.count[None], cut, steps, by_node=True)
+    return np.log(wide.value("weber_fraction", scores)), found[0]
 
 
 def carried_on(values: Array) -> Array:
@@ -261,115 +243,3 @@ def over_fractions(
             own = own - score_prior(bias)[:, None, None]
         total = np.logaddexp(total, np.logaddexp.reduce(own, axis=0))
     return total
-
-
-@dataclass(frozen=True)
-class LapseNodes:
-    """Nodes of both lapses for populations, finer than those on which likelihoods are known.
-
-    Of each lapse `scores` (F,) of its prior, `widths` (F,) in scores, and `shares` (F, N): of every
-    known node in the likelihood there, a cubic spline's; below the first it is that of no lapse.
-    `possible` (F, F) are those that leave the curve rising.
-    """
-
-    scores: tuple[Array, ...]
-    widths: tuple[Array, ...]
-    shares: tuple[Array, ...]
-    possible: Flags
-    correlation: float
-
-    @classmethod
-    def between(
-        cls, model: WeberModel, low: Array, high: Array, finer: int = 2, lowest: float = -REACH
-    ) -> LapseNodes:
-        """So many nodes for each of these coordinates (N,), carried on below to a score."""
-        parts = []
-        for name, axis in zip(model.lead[-2:], (low, high), strict=True):
-            score, width, share = np.zeros(1), np.ones(1), np.ones((1, 1))
-            if axis.size > 1:
-                transform = model.transforms[model.lead.index(name)]
-                step = (axis[1] - axis[0]) / finer
-                first = with_tail(model, name, axis, lowest)[0]
-                fine = np.arange(first, axis[-1] + 0.5 * step, step)
-                score, width = transform.score(fine), transform.slope(fine) * step
-                share = CubicSpline(axis, np.eye(axis.size))(np.maximum(fine, axis[0]))
-            parts.append((score, width, share, model.value(name, score)))
-        scores, widths, shares, (lo, hi) = zip(*parts, strict=True)
-        possible = np.add(*model.lapses(lo[:, None], hi[None])) < 1
-        return cls(scores, widths, shares, possible, model.priors.lapse_correlation)
-
-    def weights(self, mean: Array, spread: Array) -> Array:
-        """Probability of the known nodes in J populations, (Lo, Hi, J): the scores of an animal are
-        normal with that mean, spread and correlation."""
-        free = [score.size > 1 for score in self.scores]
-        rho = self.correlation if all(free) else 0.0
-        u, v = ((s[:, None] - mean * f) / spread for s, f in zip(self.scores, free, strict=True))
-        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
-        density = np.exp(-0.5 * square / (1 - rho**2)) * self.possible[..., None]
-        density /= np.sqrt(1 - rho**2) * (spread * np.sqrt(2 * np.pi)) ** sum(free)
-        parts = (s * w[:, None] for s, w in zip(self.shares, self.widths, strict=True))
-        return np.asarray(np.einsum("li,hj,lhm->ijm", *parts, density, optimize=True))
-
-
-@dataclass(frozen=True)
-class Table:
-    """Likelihood of the answers of one member.
-
-    `log_k` (K,) are nodes of ln k; `lapses` those of both lapses, of which there are Lo and Hi. For
-    S scales of the biases, `top` (S, K) is the highest log-likelihood over the lapses, and
-    `relative` (S, K, Lo·Hi) the likelihood over it.
-    """
-
-    log_k: Array
-    lapses: LapseNodes
-    top: Array
-    relative: NDArray[np.float32]
-
-    def given_lapses(self, mean: Array, spread: Array, log_k: Array, onto: Array) -> Array:
-        """Log-likelihood of ln k alone, (B, X, J): in J populations of lapses, interpolated onto
-        other nodes.
-
-        `onto` (B, S) are the shares of the tabulated scales in B others.
-        """
-        weights = self.lapses.weights(mean, spread).reshape(-1, mean.size).astype(np.float32)
-        like = (self.relative @ weights).astype(float)
-        value = np.log(np.maximum(like, 1e-35)) + self.top[..., None]
-        curve = CubicSpline(self.log_k, np.tensordot(onto, value, 1), axis=1)
-        first, last = self.log_k[[0, -1]]
-        slope = curve(self.log_k[[0, -1]], 1)
-        # Beyond the nodes the likelihood goes on as it was: flat, or falling.
-        below, above = np.minimum(log_k - first, 0), np.maximum(log_k - last, 0)
-        inside: Array = curve(np.clip(log_k, first, last))
-        inside += below[:, None] * np.maximum(slope[:, :1], 0.0)
-        inside += above[:, None] * np.minimum(slope[:, 1:], 0.0)
-        return inside
-
-
-def tabulate(
-    model: WeberModel, draws: Draws, scales: BiasScales, cut: float = 20.0, vague: float = 0.6
-) -> Table:
-    """The table of a model without effects, of all that lies no more than `cut` nats under its
-    best, with biases as wide as the widest scale has them and any k.
-
-    Others of the population draw an animal to where its own prior has nothing: k is believed to lie
-    about its draws, `vague` being the sd of its logarithm.
-    """
-    priors = model.priors
-    middle = float(np.median(draws.weber_fraction))
-    wide = replace(priors, weber_fraction=lognorm(vague, scale=middle))
-    if model.free_bias:
-        mean, sd = (max(scales.nodes[-1], 1.0) * moment for moment in priors.moments("bias"))
-        wide = replace(wide, bias=norm(mean, sd))
-    unbound = replace(model, priors=wide)
-    steps = batch_steps(unbound, k=0.9, lapse=0.8, bias=0.6)
-    found = likelihood(unbound, model.cells.count[None], steps, scales, cut, priors)
-    values = found.values[..., 0].reshape(scales.nodes.size, found.scores.size, -1)
-    some = values.max(axis=(0, 2)) > 0.5 * NOTHING
-    values = values[:, some].astype(float)
-    top = values.max(axis=-1)
-    return Table(
-        np.log(unbound.value("weber_fraction", found.scores[some])),
-        LapseNodes.between(model, found.low, found.high),
-        top,
-        np.exp(values - top[..., None]).astype(np.float32),
-    )

@@ -8,7 +8,7 @@ as they are independent given the rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,6 @@ from ..likelihood import WeberModel
 from ..priors import TINY
 
 Values = NDArray[Any]
-#: Log prior mass (P, B, S) of biases (P, B) of these widths (P, B), by S priors.
-Biases = Callable[[Array, Array], Array]
 
 NOTHING = -1e5  # log of what cannot be
 
@@ -44,7 +42,7 @@ class Block:
     """Some data sets, `rows`, at some outer nodes, with about the same windows.
 
     `low` and `high` are nodes of the lapses, `log_like` (P, Lo, Hi, r) log-likelihoods with the
-    biases integrated, at their highest, or (S, P, Lo, Hi, r) integrated for S priors.
+    biases integrated, or at their highest.
     """
 
     outer: Index
@@ -68,10 +66,13 @@ class ChoiceNodes:
         windows: Windows,
         steps: Steps,
         counts: Array,
-        dtype: DTypeLike = np.float32,
+        dtype: DTypeLike | None = None,
         lapses: tuple[Array, Array] | None = None,
     ) -> None:
-        self.model, self.steps, self.dtype = model, steps, np.dtype(dtype)
+        # Single precision as long as sums over all answers are good to a hundredth.
+        many = float(model.cells.n.sum()) * steps.power > 1e5
+        self.model, self.steps = model, steps
+        self.dtype = np.dtype(dtype or (np.float64 if many else np.float32))
         self.least = 1e-30 if self.dtype == np.float32 else TINY  # of a probability
         self.outer = windows.outer(steps.outer)
         self.lapses = windows.lapses(steps.lapse) if lapses is None else lapses
@@ -134,10 +135,10 @@ class ChoiceNodes:
         return total / max(widths.shape[2], 1)
 
     def blocks(
-        self, *, highest: bool = False, biases: Biases | None = None, together: int = 96
+        self, *, highest: bool = False, together: int = 96
     ) -> Iterator[Block]:
-        """All blocks: with biases integrated, at their highest, or integrated for each of other
-        priors of them; up to so many data sets meet the same nodes."""
+        """All blocks, with biases integrated or at their highest; up to so many data sets meet the
+        same nodes."""
         for outer in self._outer_chunks():
             inside = np.isfinite(self.first[0, outer]).any(axis=0)
             rows = np.flatnonzero(inside)
@@ -163,7 +164,7 @@ class ChoiceNodes:
             ]
             for some in (slice(j, j + together) for j in range(0, rows.size, together)):
                 yield self._block(outer, rows[some], nodes, tables, all_of,
-                                  [_slice(s[:, some]) for s in spans], highest, biases)  # fmt: skip
+                                  [_slice(s[:, some]) for s in spans], highest)  # fmt: skip
 
     def _outer_chunks(self, values: int = 20_000) -> Iterator[Index]:
         """One outer node at a time, or with one data set as many as fill a cell's table of so many
@@ -240,7 +241,6 @@ class ChoiceNodes:
         whole: list[slice],
         spans: list[slice],
         highest: bool,
-        biases: Biases | None,
     ) -> Block:
         joint: Any = 0.0
         groups = []
@@ -253,11 +253,6 @@ class ChoiceNodes:
             part = table[:, :, cut[2 + g], cut[0], cut[1]]
             values = part.reshape(len(part), -1).T @ self.answers[g][:, rows]
             values = values.reshape(*part.shape[1:], rows.size)
-            if biases is not None:
-                values -= part[-1][..., None]  # the prior of the bias is another
-                step = self.bias_step[outer, g]
-                joint = joint + self._by_prior(values, nodes[g][:, own], step, biases)
-                continue
             top = values.max(axis=1)
             if not highest:
                 step = self.bias_step[outer, g] if self.model.free_bias else np.ones(outer.size)
@@ -271,23 +266,6 @@ class ChoiceNodes:
             groups.append(Group(nodes[g][:, own], values, top))
         return Block(outer, rows, spans[0], spans[1], joint, groups)
 
-    def _by_prior(self, log_like: Values, bias: Array, step: Array, biases: Biases) -> Values:
-        """Biases (P, B) integrated, for each prior of them, (S, P, Lo, Hi, r)."""
-        if not self.model.free_bias:
-            return np.asarray(log_like.max(axis=1)[None])
-        if bias.shape[1] > 1:
-            log_like, bias, step = with_middles(log_like), with_middles(bias), 0.5 * step
-        half = 0.5 * step[:, None]
-        width = bias_at(self.model, bias + half) - bias_at(self.model, bias - half)
-        width = np.maximum(width, 1e-9)  # past the prior's reach biases stand still
-        weights = np.exp(biases(bias_at(self.model, bias), width))  # (P, F, S)
-        top = log_like.max(axis=1)
-        log_like = log_like - top[:, None]
-        like = np.exp(log_like, out=log_like).reshape(*bias.shape, -1)
-        total = np.swapaxes(weights, 1, 2).astype(self.dtype) @ like  # (P, S, X)
-        total = np.log(np.maximum(total, self.least)).reshape(len(bias), -1, *top.shape[1:])
-        return np.asarray(np.swapaxes(total, 0, 1) + top)
-
 
 def _spans(axis: Array, low: Array, high: Array) -> Index:
     """First node within a window, and the one after the last, (2, r)."""
@@ -297,21 +275,6 @@ def _spans(axis: Array, low: Array, high: Array) -> Index:
 
 def _slice(spans: Index) -> slice:
     return slice(int(spans[0].min()), int(spans[1].max()))
-
-
-def with_middles(values: Values) -> Values:
-    """Columns (P, B, ...) with others between them: cubic interpolation, quadratic at the ends."""
-    count = values.shape[1]
-    out = np.empty((values.shape[0], 2 * count - 1, *values.shape[2:]), dtype=values.dtype)
-    out[:, ::2] = values
-    out[:, 1::2] = 0.5 * (values[:, 1:] + values[:, :-1])
-    if count > 2:
-        bend = values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2]  # second differences
-        out[:, 3::2] -= bend / 16
-        out[:, 1:-2:2] -= bend / 16
-        out[:, 1] -= bend[:, 0] / 16
-        out[:, -2] -= bend[:, -1] / 16
-    return out
 
 
 def lines(chance: Array, low: Array, high: Array, lapse: Array) -> Array:
