@@ -305,9 +305,7 @@ def _row(subject: Hashable, fit: WeberFit | None) -> dict[str, Any]:
     }
 
 
-def _status(
-    found: Population, prior: Any, animals: int, of_prior: float = 0.8
-) -> PopulationStatus:
+def _status(found: Population, prior: Any, animals: int, of_prior: float = 0.8) -> PopulationStatus:
     """The spread is uninformed where its sd is more than that share of the prior's."""
     if found.error > 0.02:
         return PopulationStatus.NOT_CONVERGED

@@ -130,8 +130,7 @@ def simulate(
     bias_drift: Annotated[float, "Change of the bias from the first session to the last."] = 0.0,
     effect: Annotated[
         opt.Texts,
-        "What else moves the answers, as in fit, with its parameter: history:0.5; "
-        "may be repeated.",
+        "What else moves the answers, as in fit, with its parameter: history:0.5; may be repeated.",
         {"metavar": "NAME:VALUE"},
     ] = None,
     missing: Annotated[float, "Share of trials without an answer."] = 0.0,

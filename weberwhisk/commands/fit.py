@@ -167,9 +167,7 @@ def fit(
     opt.finish(run, as_json, answer, *lines)
 
 
-def compared(
-    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None
-) -> tuple[pd.DataFrame, str]:
+def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[pd.DataFrame, str]:
     """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
     _checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":

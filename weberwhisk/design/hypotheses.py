@@ -152,9 +152,7 @@ def options_of(hypothesis: Hypothesis) -> dict[str, Any]:
     return {name: getattr(hypothesis, name) for name in ("encoding", "priors", "bias", "noise")}
 
 
-def taper(
-    whisker: Whisker, *, unit: float = 1.0, **options: Any
-) -> tuple[Hypothesis, Hypothesis]:
+def taper(whisker: Whisker, *, unit: float = 1.0, **options: Any) -> tuple[Hypothesis, Hypothesis]:
     """The paper's prediction: distance encoded through a tapered whisker, or through a cylinder.
 
     Both by the compliance cue with Weber noise: the JND is k r (1 − r/A) or k r, equations (3.5)

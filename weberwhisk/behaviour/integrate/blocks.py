@@ -134,9 +134,7 @@ class ChoiceNodes:
             total += float((counts[0] * counts[1] * biases).sum()) * cells.size
         return total / max(widths.shape[2], 1)
 
-    def blocks(
-        self, *, highest: bool = False, together: int = 96
-    ) -> Iterator[Block]:
+    def blocks(self, *, highest: bool = False, together: int = 96) -> Iterator[Block]:
         """All blocks, with biases integrated or at their highest; up to so many data sets meet the
         same nodes."""
         for outer in self._outer_chunks():
