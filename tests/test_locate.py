@@ -15,7 +15,7 @@ from weberwhisk.cli import app
 from weberwhisk.contacts import SPANS
 from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.one_distance import Group, one_distance
+from weberwhisk.inference.one_distance import ReadingGroup, one_distance
 
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
@@ -209,7 +209,7 @@ def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool,
     signals = observer.signals(np.stack([np.full(8, place), theta], axis=-1))[0]
     readings = observer.noise.sample(signals, rng)
     asked = ww.Observer(C2, SOFT, ww.receptors.Weber(k)) if soft else observer
-    [found] = one_distance([Group(asked, readings, None, np.zeros(8, dtype=int))], 1, SPANS)
+    [found] = one_distance([ReadingGroup(asked, readings, None, np.zeros(8, dtype=int))], 1, SPANS)
     r = np.linspace(max(0.02 * C2.length, found.mean - 8 * found.sd),
                     min(0.9995 * C2.length, found.mean + 8 * found.sd), 121)  # fmt: skip
     share = (np.arange(600) + 0.5) / 600

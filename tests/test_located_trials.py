@@ -28,7 +28,7 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.one_distance import Group, one_distance
+from weberwhisk.inference.one_distance import ReadingGroup, one_distance
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
@@ -89,7 +89,7 @@ def _touches(
     theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
     y = observer.read(np.stack([true, theta], axis=-1), rng)
     found = []
-    for one in one_distance([Group(observer, y, None, np.arange(len(y)))], len(y)):
+    for one in one_distance([ReadingGroup(observer, y, None, np.arange(len(y)))], len(y)):
         mass = one.density * np.gradient(one.r)
         found.append((one.r, mass / mass.sum()))
     return found

@@ -22,7 +22,7 @@ from ..cues.force_map import MeasuredAngle, is_curved
 from ..inference import Status
 from ..inference.coordinates import in_words
 from ..inference.observer import Observer, default_noise
-from ..inference.one_distance import Group, one_distance
+from ..inference.one_distance import ReadingGroup, one_distance
 from ..inference.quadrature import TOLERANCE, sums_of
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise
@@ -467,7 +467,7 @@ def _of_touches(
             at = side.rows[owner[side.rows] >= 0]
             errors = None if covariance is None else covariance[at]
             if at.size:
-                groups.append(Group(side.observer, y[at], errors, owner[at]))
+                groups.append(ReadingGroup(side.observer, y[at], errors, owner[at]))
         each_found = one_distance(groups, len(some), SPANS)
         for (rows, used), found in zip(some, each_found, strict=True):
             words[rows] = "converged" if np.isfinite(found.mean) else "rows_disagree"

@@ -22,7 +22,7 @@ from .._values import Array, Flags, Index
 from .coordinates import from_normal, is_all_around
 from .observer import Evaluated, Observer, evaluated
 from .tree import DROP, tree_of
-from .weighted import OVER, Draws, Spans, Sums, extrapolated, interpolate
+from .weighted import OVER, Proposals, Spans, Sums, extrapolated, interpolate
 
 #: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
 HALVINGS = 6
@@ -584,7 +584,7 @@ class LayeredSums:
             contact, log_density = self.observer.contact(some, further=further)
             log_density += sum(a.log_prior(k) for a, k in zip(self.axes, node.T, strict=True))
             log_density += self.observer.log_likelihood(self.readings[row], contact)
-            chosen = Draws.resampled(log_density - np.concatenate(log_of), count, rng)
+            chosen = Proposals.resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]
         return out
 

@@ -31,7 +31,7 @@ DROP = 40.0
 SCORES = np.linspace(-6.0, 6.0, 97)
 
 
-class Group(NamedTuple):
+class ReadingGroup(NamedTuple):
     """Readings (n, R) of one observer, covariances of their errors, and the set of each, (n,)."""
 
     observer: Observer
@@ -84,13 +84,13 @@ def shared_unknowns(observer: Observer) -> list[str]:
 
 
 def one_distance(
-    groups: Sequence[Group], count: int, spans: Array | None = None
+    groups: Sequence[ReadingGroup], count: int, spans: Array | None = None
 ) -> list[OneDistance]:
     """The posteriors of the distances of `count` sets of readings.
 
     Parameters
     ----------
-    groups : sequence of Group
+    groups : sequence of ReadingGroup
         Of one observer each, all of which reach as far; a set may have readings of several.
     count : int
     spans : array, optional
@@ -192,7 +192,7 @@ def _sums(
 
 
 def _parts(
-    group: Group, axis: Axis | None, node: int, spans: Array | None
+    group: ReadingGroup, axis: Axis | None, node: int, spans: Array | None
 ) -> tuple[list[list[_Part]], Array]:
     """Of each reading what its posterior is a sum of, and the error of its sums."""
     out: list[list[_Part]] = [[] for _ in group.readings]
@@ -281,7 +281,7 @@ class _Curve:
 
 
 def _products(
-    groups: Sequence[Group], sets: Index, prior: Any, spans: Array | None, axis: Axis | None,
+    groups: Sequence[ReadingGroup], sets: Index, prior: Any, spans: Array | None, axis: Axis | None,
     node: int,
 ) -> list[OneDistance]:  # fmt: skip
     """The posteriors of sets of readings where a shared unknown is given at a node."""

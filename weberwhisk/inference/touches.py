@@ -13,7 +13,7 @@ from .. import _checks
 from .._checks import kind
 from .._values import Array, Index, interval_text
 from .observer import Observer
-from .one_distance import Group, OneDistance, one_distance, quantiles_of, shared_unknowns
+from .one_distance import OneDistance, ReadingGroup, one_distance, quantiles_of, shared_unknowns
 from .quadrature import TOLERANCE
 from .result import Status, is_improbable, is_unidentified
 
@@ -142,7 +142,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
             f"{', '.join(observer.unknowns)} unknown; give the friction's angle."
         )
     owner: Index = np.zeros(len(y), dtype=np.intp)
-    [found] = one_distance([Group(observer, y, None, owner)], 1)
+    [found] = one_distance([ReadingGroup(observer, y, None, owner)], 1)
     named = {}
     if found.shared:
         mean, sd, _ = found.shared

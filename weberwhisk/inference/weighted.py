@@ -69,7 +69,7 @@ class Spans(NamedTuple):
         return np.stack([np.interp(p, up, at) for up, at in zip(rise, ends, strict=True)])
 
 
-class Draws(NamedTuple):
+class Proposals(NamedTuple):
     """Proposed coordinates (n, U), and ln of the density (n,) that they come from, up to a factor.
 
     One in `OVER` is kept, by importance: systematic resampling.
@@ -268,7 +268,7 @@ class Sums:
 
     # -- draws -------------------------------------------------------------------------------------
 
-    def proposals(self, count: int, rng: np.random.Generator, row: int) -> Draws:
+    def proposals(self, count: int, rng: np.random.Generator, row: int) -> Proposals:
         """Coordinates (count, U) of the posterior of one reading, spread over its cells.
 
         Of cells of next to no density there are more than these have mass, as it may be higher
@@ -282,7 +282,7 @@ class Sums:
         chosen = rng.choice(len(weight), count, p=weight)
         middle = leaves.place[:, chosen].T + 0.5
         x = (middle + rng.random(middle.shape) - 0.5) * step
-        return Draws(x, np.log(weight[chosen]) - np.log(step).sum())
+        return Proposals(x, np.log(weight[chosen]) - np.log(step).sum())
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
@@ -290,7 +290,7 @@ class Sums:
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
             proposed = self.proposals(OVER * count, rng, int(row))
             log, contact = self.observer.log_density_and_contact(proposed.x, readings[row])
-            out[row] = contact[Draws.resampled(log - proposed.log, count, rng)]
+            out[row] = contact[Proposals.resampled(log - proposed.log, count, rng)]
         return out
 
 
