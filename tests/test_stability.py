@@ -252,7 +252,7 @@ def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
         ww.posterior(observer, factor * observer.signals([share * W.length])[0])
         for share, factor in ((1e-9, 0.5), (1e-5, 1.0))
     )
-    assert far.status == Status.IMPRECISE
+    assert far.status in (Status.IMPROBABLE_READING, Status.IMPRECISE)
     assert near.status == Status.OUTSIDE_DOMAIN  # so near to the base, and else converged
     assert near.mean_error < 1e-3 * near.sd
 

@@ -18,6 +18,7 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -49,7 +50,7 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
-    part = target.with_name(f"{UNFINISHED}{os.getpid()}")
+    part = target.with_name(f"{UNFINISHED}{os.getpid()}-{threading.get_ident()}")
     try:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
         os.replace(part, target)
