@@ -189,6 +189,8 @@ class Tree:
         self.room = np.log(1 / min(share, 1e-8 if self.unknowns == 1 else 1.0))
         # Three times as fine is 64 times the error of an edge, and any other is gone.
         self.refinements = 12 if self.unknowns == 1 else 3
+        # More nats on the way, as cells are judged by their middles; cells of one unknown are few.
+        self.slack = 100.0 if self.unknowns == 1 else 4.0
         self.evaluated = 0
         self._start: Level | None = None
 
@@ -475,9 +477,8 @@ class _Walk:
                 depth = log - top
                 if not task.last:
                     depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
-            # Four nats more on the way, as cells are judged by their middles.
             kept = top >= least[task.row]
-            kept &= depth > -(self.drop if task.last else self.drop + 4)[task.row]
+            kept &= depth > -(self.drop if task.last else self.drop + self.tree.slack)[task.row]
             if task.last:
                 self.highest[task.row[first]] = np.maximum.reduceat(log, first)
             else:
