@@ -32,6 +32,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, campaign, figures
+from weberwhisk._util.output import Run
 from weberwhisk.behaviour import Priors, fit_weber, simulate_trials
 from weberwhisk.cues import (
     AngleSideAngle,
@@ -51,7 +52,6 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.jnd import prior_draws
-from weberwhisk.output import Run
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,

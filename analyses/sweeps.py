@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
+from weberwhisk._util.output import Run
 from weberwhisk.mechanics.objects import Sweep, cylinder, peg, sweep
 from weberwhisk.mechanics.touch import Body
-from weberwhisk.output import Run
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, Track, follow
 

@@ -14,11 +14,16 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks` and `_values`. A folder's modules share its
+# its own folder, `_util.checks` and `_util.values`. A folder's modules share its
 # entry, unless they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
-    "_checks": (),
-    "_values": (),
+    "_util": (),
+    "_util.values": (),
+    "_util.checks": (),
+    "_util.threads": (),
+    "_util.output": (),
+    "_util.log": ("_util.output",),
+    "_util.campaign": ("_util.threads", "_util.log"),
     "domain": (),
     "whisker": ("domain",),
     "mechanics.chebyshev": (),
@@ -54,23 +59,20 @@ TABLE: dict[str, tuple[str, ...]] = {
     "receptors": (),
     "array": ("whisker", "mechanics.shape"),
     "cues": ("mechanics", "receptors"),
-    "inference": ("cues", "threads"),
+    "inference": ("cues", "_util.threads"),
     "sweeping": ("inference",),
     "jnd": ("inference",),
     "place_sensor": ("array", "inference"),
     "array_observer": ("place_sensor",),
     "places": ("array_observer",),
-    "threads": (),
-    "campaign": ("threads", "output"),
-    "jnd_curves": ("jnd", "campaign"),
-    "output": (),
+    "jnd_curves": ("jnd", "_util.campaign"),
     "contacts": ("inference",),
-    "behaviour": ("sweeping", "jnd", "campaign", "contacts", "places"),
+    "behaviour": ("sweeping", "jnd", "_util.campaign", "contacts", "places"),
     "design": ("behaviour", "places"),
     "figures": ("design", "places", "jnd_curves"),
     "": ("figures", "contacts", "places"),
-    "cli": ("campaign",),
-    "commands": ("", "output", "cli"),
+    "cli": ("_util.campaign",),
+    "commands": ("", "cli"),
 }
 ONLY_IN = {
     "emcee": "inference",
@@ -127,7 +129,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_checks", "_values"}
+    own = {place, "_util.checks", "_util.values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 
@@ -222,8 +224,8 @@ def test_the_table_goes_one_way() -> None:
         ("whisker.py", "importlib.import_module('.jnd', 'weberwhisk')", "imports weberwhisk.jnd"),
         ("whisker.py", "__import__('weberwhisk.jnd')", "imports weberwhisk.jnd"),
         ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
-        ("_checks.py", "from .whisker import Whisker", "_checks.py imports weberwhisk.whisker"),
-        ("output.py", "from .figures import x", "output.py imports weberwhisk.figures"),
+        ("_util/checks.py", "from ..whisker import x", "checks.py imports weberwhisk.whisker"),
+        ("_util/output.py", "from ..figures import x", "output.py imports weberwhisk.figures"),
         ("cues/force_map.py", "from ..jnd import x", "imports weberwhisk.jnd"),
         (
             "mechanics/contact.py",
@@ -266,17 +268,18 @@ def test_imports_that_go_round_are_found(tmp_path: Path) -> None:
 def test_a_good_tree_passes(tmp_path: Path) -> None:
     files = {
         "__init__.py": "from .whisker import Whisker\nfrom . import jnd",
-        "whisker.py": "import numpy\nfrom ._checks import finite",
+        "whisker.py": "import numpy\nfrom ._util.checks import finite",
         "mechanics/__init__.py": "from .ladder import bend",
         "mechanics/ladder.py": "from . import closed_form\nfrom .contact import Bending",
         "cues/one.py": "def f():\n    from .two import x",
         "cues/two.py": "if TYPE_CHECKING:\n    from .one import x",
         "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
-        "inference/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
+        "inference/engine.py": "import emcee\nfrom .._util import checks\nfrom . import x",
         "inference/x.py": "from weberwhisk.inference.observer import Observer",
         "figures.py": "def f():\n    import matplotlib.pyplot",
-        "output.py": "from . import __version__",
-        "commands/bend.py": "import weberwhisk as ww\nfrom .. import output, figures, cli",
+        "_util/output.py": "from .. import __version__",
+        "commands/bend.py": "import weberwhisk as ww\nfrom .. import figures, cli",
+        "commands/fit.py": "from .._util import output",
     }
     assert offences(_fake(tmp_path, files)) == []
 
@@ -291,7 +294,7 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "mechanics", "cues", "inference", "campaign", "behaviour", "contacts", "design", "commands",
+        "_util", "mechanics", "cues", "inference", "behaviour", "contacts", "design", "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}

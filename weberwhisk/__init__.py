@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     __version__: str
     from . import array as array
     from . import behaviour as behaviour
-    from . import campaign as campaign
     from . import contacts as contacts
     from . import cues as cues
     from . import design as design
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
     from . import places as places
     from . import receptors as receptors
     from . import sweeping as sweeping
+    from ._util import campaign as campaign
+    from ._util.output import cite as cite
     from .array import WhiskerArray as WhiskerArray
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
@@ -73,7 +74,6 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
-    from .output import cite as cite
     from .places import ArrayObserver as ArrayObserver
     from .places import Place as Place
     from .places import place as place
@@ -95,12 +95,13 @@ _NAMES = {
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
-    "output": "cite",
+    "_util.output": "cite",
 }
 _MODULES = {
-    "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
-    "inference", "mechanics", "places", "receptors", "sweeping",
-}  # fmt: skip
+    name: name
+    for name in ("array", "behaviour", "contacts", "cues", "design", "figures", "inference",
+                 "mechanics", "places", "receptors", "sweeping")
+} | {"campaign": "_util.campaign"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
@@ -118,7 +119,7 @@ def _version() -> str:
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        return import_module(f".{name}", __name__)
+        return import_module(f".{_MODULES[name]}", __name__)
     if name == "__version__":
         return _version()
     if name not in _HOME:

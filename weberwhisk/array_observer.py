@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import (
+from ._util.checks import (
     angle,
     finite,
     generator,
@@ -26,7 +26,7 @@ from ._checks import (
     positive_number,
     shown,
 )
-from ._values import Array
+from ._util.values import Array
 from .array import WhiskerArray
 from .cues.protocol import Cue
 from .inference.observer import Observer

@@ -19,8 +19,8 @@ import scipy
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from ._checks import generator, whole
-from ._values import Array, Flags, pd, with_units
+from ._util.checks import generator, whole
+from ._util.values import Array, Flags, pd, with_units
 from .cues import Fused
 from .cues.protocol import Cue
 from .inference.coordinates import UNITS

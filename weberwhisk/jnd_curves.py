@@ -11,9 +11,9 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import campaign
-from ._checks import angle, finite, generator, one_of, positive, positive_number, whole
-from ._values import Array, Shown, pd, with_units
+from ._util import campaign
+from ._util.checks import angle, finite, generator, one_of, positive, positive_number, whole
+from ._util.values import Array, Shown, pd, with_units
 from .cues import Compliance, ForceMap
 from .inference.coordinates import UNITS
 from .inference.observer import Observer, default_noise

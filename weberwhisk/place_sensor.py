@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import logsumexp, ndtr
 
-from ._checks import angle, finite
-from ._values import Array
+from ._util.checks import angle, finite
+from ._util.values import Array
 from .array import Follicle
 from .inference import posterior
 from .inference.coordinates import constrain_angle, unconstrain_angle

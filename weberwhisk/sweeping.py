@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import finite, kind, non_negative, positive, refuse_hinge
-from ._values import Array, Codes, Flags, Index
+from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
+from ._util.values import Array, Codes, Flags, Index
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .inference.observer import Observer

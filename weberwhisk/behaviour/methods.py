@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from .. import __version__
-from .._values import counted
+from .._util.values import counted
 from ..contacts import methods_of
 from ..inference.coordinates import in_words
 from ..receptors import Weber

@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _checks, domain
-from .._values import Array, Flags, Index
+from .. import domain
+from .._util import checks
+from .._util.values import Array, Flags, Index
 from ..cues import Cue
 from ..cues.force_map import MeasuredAngle, is_curved
 from ..inference import Status
@@ -191,7 +192,7 @@ def locate(
             )  # fmt: skip
 
         return averaged(whisker, located_by, progress)
-    _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
+    checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
     for name in (*RESULTS, MEASURED, *(TOUCH_RESULTS if touch is not None else ())):
@@ -298,11 +299,11 @@ def _touches_of(
         if touch not in raw.columns:
             raise ValueError(
                 f"The table has no column {touch!r} of touches; it has "
-                f"{_checks.listed(map(str, raw.columns), 8)}."
+                f"{checks.listed(map(str, raw.columns), 8)}."
             )
         values = raw[touch].to_list()
     else:
-        values = _checks.several("touch", touch, "write the name of a column")
+        values = checks.several("touch", touch, "write the name of a column")
         if len(values) != len(raw):
             raise ValueError(
                 f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "

@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.optimize import brentq
 
-from .._checks import numbers, refuse_hinge, shown
-from .._values import Array, Codes, Value
+from .._util.checks import numbers, refuse_hinge, shown
+from .._util.values import Array, Codes, Value
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .._checks import one_of, shown
-from .._values import Array, pd
+from .._util.checks import one_of, shown
+from .._util.values import Array, pd
 from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
