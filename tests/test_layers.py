@@ -57,20 +57,17 @@ TABLE: dict[str, tuple[str, ...]] = {
         "mechanics.modes",
     ),
     "receptors": (),
-    "array": ("whisker", "mechanics.shape"),
     "cues": ("mechanics", "receptors"),
     "inference": ("cues", "_util.threads"),
     "sweeping": ("inference",),
     "jnd": ("inference",),
-    "place_sensor": ("array", "inference"),
-    "array_observer": ("place_sensor",),
-    "places": ("array_observer",),
+    "array": ("inference",),
     "jnd_curves": ("jnd", "_util.campaign"),
     "contacts": ("inference",),
-    "behaviour": ("sweeping", "jnd", "_util.campaign", "contacts", "places"),
-    "design": ("behaviour", "places"),
-    "figures": ("design", "places", "jnd_curves"),
-    "": ("figures", "contacts", "places"),
+    "behaviour": ("sweeping", "jnd", "_util.campaign", "contacts", "array"),
+    "design": ("behaviour", "array"),
+    "figures": ("design", "array", "jnd_curves"),
+    "": ("figures", "contacts", "array"),
     "cli": ("_util.campaign",),
     "commands": ("", "cli"),
 }
@@ -294,7 +291,8 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "_util", "mechanics", "cues", "inference", "behaviour", "contacts", "design", "commands",
+        "_util", "mechanics", "cues", "inference", "behaviour", "contacts", "array", "design",
+        "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}

@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from . import figures as figures
     from . import inference as inference
     from . import mechanics as mechanics
-    from . import places as places
     from . import receptors as receptors
     from . import sweeping as sweeping
     from ._util import campaign as campaign
     from ._util.output import cite as cite
+    from .array import ArrayObserver as ArrayObserver
+    from .array import Place as Place
     from .array import WhiskerArray as WhiskerArray
+    from .array.place import place as place
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
@@ -74,16 +76,13 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
-    from .places import ArrayObserver as ArrayObserver
-    from .places import Place as Place
-    from .places import place as place
     from .whisker import Whisker as Whisker
     from .whisker import identities as identities
 
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
 _NAMES = {
     "whisker": "Whisker identities",
-    "array": "WhiskerArray",
+    "array": "ArrayObserver Place WhiskerArray place",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
@@ -93,14 +92,13 @@ _NAMES = {
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "contacts": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
-    "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
     "_util.output": "cite",
 }
 _MODULES = {
     name: name
     for name in ("array", "behaviour", "contacts", "cues", "design", "figures", "inference",
-                 "mechanics", "places", "receptors", "sweeping")
+                 "mechanics", "receptors", "sweeping")
 } | {"campaign": "_util.campaign"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above

@@ -18,7 +18,7 @@ from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 if TYPE_CHECKING:
-    from ..places import ArrayObserver
+    from ..array import ArrayObserver
 
 
 NOISES = ("weber", "equal-variance")

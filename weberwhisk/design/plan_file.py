@@ -16,7 +16,7 @@ from scipy.stats.distributions import rv_frozen
 
 from .. import __version__
 from .._util import checks
-from ..array import WhiskerArray
+from ..array import ArrayObserver, WhiskerArray
 from ..behaviour.encodings import (
     ConstantNoise,
     CueEncoding,
@@ -40,7 +40,6 @@ from ..cues import (
 )
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
-from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._util import checks
-from ._util.values import Array, Flags, Shown, pd
-from .array_observer import ArrayObserver, Readings
-from .inference import Status
-from .place_sensor import JointEvidence, one_place
-from .receptors import Seed
+from .._util import checks
+from .._util.values import Array, Flags, Shown, pd
+from ..inference import Status
+from ..receptors import Seed
+from .evidence import JointEvidence, one_place
+from .observer import ArrayObserver, Readings
 
 __all__ = ["ArrayObserver", "Place", "place"]
 
