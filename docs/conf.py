@@ -96,7 +96,7 @@ MODULES = {
     "weberwhisk.cues": "The paper's methods",
     "weberwhisk.receptors": "Receptor noise",
     "weberwhisk.inference": "Posteriors and observers",
-    "weberwhisk.contacts": "Measured contacts: tables, trackers, sensors",
+    "weberwhisk.recordings": "Measured contacts: tables, trackers, sensors",
     "weberwhisk.array": "Where whiskers stand, and an object's place from all of them",
     "weberwhisk.sweeping": "Contacts followed along a sweep",
     "weberwhisk.behaviour": "Trials, tasks and fits",

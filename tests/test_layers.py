@@ -63,11 +63,11 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd": ("inference",),
     "array": ("inference",),
     "jnd_curves": ("jnd", "_util.campaign"),
-    "contacts": ("inference",),
-    "behaviour": ("sweeping", "jnd", "_util.campaign", "contacts", "array"),
+    "recordings": ("inference",),
+    "behaviour": ("sweeping", "jnd", "_util.campaign", "recordings", "array"),
     "design": ("behaviour", "array"),
     "figures": ("design", "array", "jnd_curves"),
-    "": ("figures", "contacts", "array"),
+    "": ("figures", "recordings", "array"),
     "cli": ("_util.campaign",),
     "commands": ("", "cli"),
 }
@@ -291,7 +291,7 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "_util", "mechanics", "cues", "inference", "behaviour", "contacts", "array", "design",
+        "_util", "mechanics", "cues", "inference", "behaviour", "recordings", "array", "design",
         "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:

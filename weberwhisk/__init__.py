@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     __version__: str
     from . import array as array
     from . import behaviour as behaviour
-    from . import contacts as contacts
     from . import cues as cues
     from . import design as design
     from . import figures as figures
     from . import inference as inference
     from . import mechanics as mechanics
     from . import receptors as receptors
+    from . import recordings as recordings
     from . import sweeping as sweeping
     from ._util import campaign as campaign
     from ._util.output import cite as cite
@@ -37,10 +37,6 @@ if TYPE_CHECKING:
     from .behaviour import read_trials as read_trials
     from .behaviour import simulate_population as simulate_population
     from .behaviour import simulate_trials as simulate_trials
-    from .contacts import calibrate as calibrate
-    from .contacts import locate as locate
-    from .contacts import read_tracking as read_tracking
-    from .contacts import tracked_signals as tracked_signals
     from .design import plan_experiment as plan_experiment
     from .design import power as power
     from .design import read_plan as read_plan
@@ -76,6 +72,10 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
+    from .recordings import calibrate as calibrate
+    from .recordings import read_tracking as read_tracking
+    from .recordings import tracked_signals as tracked_signals
+    from .recordings.locate import locate as locate
     from .whisker import Whisker as Whisker
     from .whisker import identities as identities
 
@@ -90,15 +90,15 @@ _NAMES = {
     "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking tracked_signals",
+    "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "figures.designs": "write_plan",
     "_util.output": "cite",
 }
 _MODULES = {
     name: name
-    for name in ("array", "behaviour", "contacts", "cues", "design", "figures", "inference",
-                 "mechanics", "receptors", "sweeping")
+    for name in ("array", "behaviour", "cues", "design", "figures", "inference", "mechanics",
+                 "receptors", "recordings", "sweeping")
 } | {"campaign": "_util.campaign"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._util import checks
 from .._util.values import Array, Flags
-from ..contacts.files import as_number, load_table
+from ..recordings.files import as_number, load_table
 from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,

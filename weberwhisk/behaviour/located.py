@@ -19,10 +19,10 @@ from scipy.optimize import minimize_scalar
 
 from .._util import checks
 from .._util.values import Array, Index
-from ..contacts import locate
-from ..contacts.columns import FROM_SHAPE, read_contacts
-from ..contacts.files import load_table
 from ..inference.observer import Observer
+from ..recordings import locate
+from ..recordings.columns import FROM_SHAPE, read_contacts
+from ..recordings.files import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (
     Encoding,

@@ -9,9 +9,9 @@ import pandas as pd
 
 from .. import __version__
 from .._util.values import counted
-from ..contacts import methods_of
 from ..inference.coordinates import in_words
 from ..receptors import Weber
+from ..recordings.locate import methods_of
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates

@@ -17,11 +17,11 @@ from .._util.output import Run, atomic_write, versions_in_words
 from .._util.values import counted, pd
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..cli import numbers
-from ..contacts.files import load_table
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.words import assumptions, offsets_in_words
 from ..figures.designs import fill
+from ..recordings.files import load_table
 
 if TYPE_CHECKING:
     from ..design import AnalysisResult

@@ -17,8 +17,8 @@ from ..behaviour import CueEncoding, Encoding, FitStatus, with_distances
 from ..behaviour.effects import EFFECTS, Effect, effect_named
 from ..behaviour.trials import in_millimetres
 from ..cli import numbers
-from ..contacts.files import load_table
 from ..design import cues, noises, taper
+from ..recordings.files import load_table
 from .choices import distance_encoding
 
 #: What the library says, and what that is called here.

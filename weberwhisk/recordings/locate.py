@@ -1,7 +1,4 @@
-"""Measured contacts: from trackers' files and tables of forces to distances.
-
-`locate` makes one posterior of each row of a table, and one of each touch.
-"""
+"""`locate`: one posterior of each row of a table, and one of each touch."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from .. import domain
 from .._util import checks
 from .._util.values import Array, Flags, Index
 from ..cues import Cue
-from ..cues.force_map import MeasuredAngle, is_curved
+from ..cues.force_map import is_curved
 from ..inference import Status
 from ..inference.coordinates import in_words
 from ..inference.observer import Observer, default_noise
@@ -28,7 +25,7 @@ from ..inference.quadrature import TOLERANCE, sums_of
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise
 from ..whisker import Whisker
-from .calibration import Calibration, HingedTap, averaged, calibrate
+from .calibration import Calibration, averaged
 from .columns import (
     COMMON,
     FROM_SHAPE,
@@ -42,13 +39,6 @@ from .columns import (
     turn_round,
     values_of,
 )
-from .signals import tracked_signals
-from .trackers import read_tracking
-
-__all__ = [
-    "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking",
-    "tracked_signals",
-]  # fmt: skip
 
 #: What `locate` adds to a table.
 RESULTS = (
