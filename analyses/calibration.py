@@ -51,7 +51,6 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -60,6 +59,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import prior_draws
 
 Array = np.ndarray
 HERE = Path(__file__).parent

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from . import mechanics as mechanics
     from . import receptors as receptors
     from . import recordings as recordings
-    from . import sweeping as sweeping
     from ._util import campaign as campaign
     from ._util.output import cite as cite
     from .array import ArrayObserver as ArrayObserver
@@ -45,18 +44,10 @@ if TYPE_CHECKING:
     from .inference import Posterior as Posterior
     from .inference import Status as Status
     from .inference import posterior as posterior
+    from .inference import sweeping as sweeping
     from .inference.observer import Observer as Observer
     from .inference.touches import Touches as Touches
     from .inference.touches import touches as touches
-    from .jnd import added_information as added_information
-    from .jnd import convert_jnd as convert_jnd
-    from .jnd import criterion_factor as criterion_factor
-    from .jnd import fused_jnds as fused_jnds
-    from .jnd import information as information
-    from .jnd_curves import JNDCurve as JNDCurve
-    from .jnd_curves import jnd_curve as jnd_curve
-    from .jnd_curves import jnd_sweep as jnd_sweep
-    from .jnd_curves import touches_jnd as touches_jnd
     from .mechanics import Bending as Bending
     from .mechanics import Choice as Choice
     from .mechanics import FlickPast as FlickPast
@@ -76,6 +67,15 @@ if TYPE_CHECKING:
     from .recordings import read_tracking as read_tracking
     from .recordings import tracked_signals as tracked_signals
     from .recordings.locate import locate as locate
+    from .sensitivity import JNDCurve as JNDCurve
+    from .sensitivity import added_information as added_information
+    from .sensitivity import convert_jnd as convert_jnd
+    from .sensitivity import criterion_factor as criterion_factor
+    from .sensitivity import fused_jnds as fused_jnds
+    from .sensitivity import information as information
+    from .sensitivity import jnd_curve as jnd_curve
+    from .sensitivity import jnd_sweep as jnd_sweep
+    from .sensitivity import touches_jnd as touches_jnd
     from .whisker import Whisker as Whisker
     from .whisker import identities as identities
 
@@ -86,8 +86,8 @@ _NAMES = {
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
-    "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
-    "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
+    "sensitivity": "JNDCurve added_information convert_jnd criterion_factor fused_jnds "
+    "information jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",
@@ -98,8 +98,8 @@ _NAMES = {
 _MODULES = {
     name: name
     for name in ("array", "behaviour", "cues", "design", "figures", "inference", "mechanics",
-                 "receptors", "recordings", "sweeping")
-} | {"campaign": "_util.campaign"}  # fmt: skip
+                 "receptors", "recordings")
+} | {"campaign": "_util.campaign", "sweeping": "inference.sweeping"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])

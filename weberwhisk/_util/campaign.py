@@ -103,9 +103,9 @@ def run(
 
     Examples
     --------
-    `weberwhisk.jnd_curves` gives one chunk to each Weber fraction:
+    `weberwhisk.jnd_sweep` gives one chunk to each Weber fraction:
 
-    >>> from weberwhisk.jnd_curves import jnd_rows
+    >>> from weberwhisk.sensitivity.curves import jnd_rows
     >>> tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
     ...        "radial_distance": [5e-3], "deflection_angle": None,
     ...        "method": "quadrature", "criterion": "d'=1", "n_readings": 4}

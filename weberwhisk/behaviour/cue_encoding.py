@@ -19,9 +19,9 @@ from .._util import checks
 from .._util.values import Array, Codes
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
-from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise
+from ..sensitivity import weber_propagation
 
 
 @dataclass(frozen=True)

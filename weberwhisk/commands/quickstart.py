@@ -15,8 +15,7 @@ from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
 from ..behaviour import load_rat_auditory
 from ..cli import progress
-from ..jnd import weber_propagation
-from ..jnd_curves import linear_surface
+from ..sensitivity import linear_surface, weber_propagation
 from . import command, describe, enough_draws, finish, whisker_line
 from .whiskers import curve_in_steps
 

@@ -219,7 +219,7 @@ class Fused(Cue):
     --------
     >>> from weberwhisk import Observer, Whisker
     >>> from weberwhisk.cues import Compliance, ForceMap
-    >>> from weberwhisk.jnd import fisher_jnd
+    >>> from weberwhisk.sensitivity import fisher_jnd
     >>> both = Fused(Compliance(), ForceMap())
     >>> both.signal_names, both.unknowns
     (('moment_rate', 'moment', 'axial_force'), ('radial_distance', 'deflection_angle'))

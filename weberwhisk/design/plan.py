@@ -23,7 +23,7 @@ from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
-from ..jnd import criterion_factor
+from ..sensitivity import criterion_factor
 from .hypotheses import (
     ONE_STIMULUS,
     Goal,
