@@ -24,6 +24,7 @@ from command import options
 
 import weberwhisk as ww
 from weberwhisk import campaign, figures
+from weberwhisk._util.output import Run
 from weberwhisk.behaviour import IdentityEncoding, response_probability
 from weberwhisk.design import (
     BayesianPlacer,
@@ -37,7 +38,6 @@ from weberwhisk.design import (
 )
 from weberwhisk.figures.fits import binomial_interval
 from weberwhisk.figures.style import LINES, bars, legend_above, look, mark
-from weberwhisk.output import Run
 
 LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)

@@ -32,6 +32,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, campaign, figures
+from weberwhisk._util.output import Run
 from weberwhisk.behaviour import Priors, fit_weber, simulate_trials
 from weberwhisk.cues import (
     AngleSideAngle,
@@ -50,8 +51,6 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.jnd import prior_draws
-from weberwhisk.output import Run
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -60,6 +59,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import prior_draws
 
 Array = np.ndarray
 HERE = Path(__file__).parent

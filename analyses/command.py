@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from weberwhisk.output import versions_in_words
+from weberwhisk._util.output import versions_in_words
 
 ANALYSES = Path(__file__).parent
 

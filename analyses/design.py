@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
+from weberwhisk._util.output import Run
 from weberwhisk.design import Power, Scheme, SubjectPopulation, information, taper
-from weberwhisk.output import Run
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length

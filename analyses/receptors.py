@@ -16,7 +16,7 @@ from command import options
 from matplotlib.figure import Figure
 
 from weberwhisk import figures
-from weberwhisk.output import Run
+from weberwhisk._util.output import Run
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,

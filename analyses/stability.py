@@ -37,7 +37,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from weberwhisk import figures
-from weberwhisk.output import Run
+from weberwhisk._util.output import Run
 
 HERE = Path(__file__).parent
 SEED = 20110166

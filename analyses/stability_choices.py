@@ -21,7 +21,7 @@ from scipy.special import ndtr, ndtri, xlogy
 import weberwhisk as ww
 from weberwhisk import Observer, Outcome, Whisker, cues, domain, receptors
 from weberwhisk.behaviour import FitStatus, fit_weber, read_trials
-from weberwhisk.jnd import weber_propagation
+from weberwhisk.sensitivity import weber_propagation
 
 Array = np.ndarray
 Case = dict[str, Array]

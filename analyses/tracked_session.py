@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from weberwhisk import Outcome, Profile, Whisker, press, rest_angle
-from weberwhisk.contacts.files import segment
-from weberwhisk.contacts.trackers import tidy
 from weberwhisk.mechanics.shape import bent_shape
+from weberwhisk.recordings.files import segment
+from weberwhisk.recordings.trackers import tidy
 
 
 def simulate_tracking(

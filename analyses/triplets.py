@@ -25,8 +25,8 @@ import pandas as pd
 from command import options
 
 import weberwhisk as ww
-from weberwhisk.jnd import prior_draws
 from weberwhisk.mechanics.curved_surface import SIX, space_surface
+from weberwhisk.sensitivity import prior_draws
 
 NAMES = ("FX", "FT", "FD", "MX", "MB", "MD")
 WHISKERS = {

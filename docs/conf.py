@@ -10,6 +10,7 @@ import re
 import runpy
 import sys
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -95,10 +96,9 @@ MODULES = {
     "weberwhisk.cues": "The paper's methods",
     "weberwhisk.receptors": "Receptor noise",
     "weberwhisk.inference": "Posteriors and observers",
-    "weberwhisk.contacts": "Measured contacts: tables, trackers, sensors",
-    "weberwhisk.array": "Where whiskers stand and point",
-    "weberwhisk.places": "An object's place from all whiskers",
-    "weberwhisk.sweeping": "Contacts followed along a sweep",
+    "weberwhisk.recordings": "Measured contacts: tables, trackers, sensors",
+    "weberwhisk.array": "Where whiskers stand, and an object's place from all of them",
+    "weberwhisk.inference.sweeping": "Contacts followed along a sweep",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",
@@ -107,16 +107,22 @@ MODULES = {
 }
 
 
+def public_module(name: str) -> Any:
+    """A module by its public name, which for `weberwhisk.campaign` is not where its file stands."""
+    _, _, below = name.partition(".")
+    return attrgetter(below)(weberwhisk) if below else weberwhisk
+
+
 def public_names() -> dict[str, list[str]]:
     """Names that each module's page documents; each object once, where it is first met."""
     seen: set[int] = set()
     pages: dict[str, list[str]] = {}
     for module_name in MODULES:
-        module = import_module(module_name)
+        module = public_module(module_name)
         names = getattr(module, "__all__", None) or sorted(
             name
             for name, value in vars(module).items()
-            if not name.startswith("_") and getattr(value, "__module__", None) == module_name
+            if not name.startswith("_") and getattr(value, "__module__", None) == module.__name__
         )
         pages[module_name] = []
         for name in names:
@@ -136,23 +142,24 @@ def write_reference() -> dict[str, str]:
     places: dict[str, str] = {}
     lines = ["API", "===", "", "Every public name, from its docstring.", "", ".. toctree::", ""]
     for module_name, names in public_names().items():
+        home = public_module(module_name).__name__
         title = f"{module_name}: {MODULES[module_name].lower()}".replace("`", "")
         if module_name == "weberwhisk":
             title = "weberwhisk: the names to start with"
-        page = [title, "=" * len(title), "", f".. automodule:: {module_name}"]
+        page = [title, "=" * len(title), "", f".. automodule:: {home}"]
         page += ["   :no-index:", ""] if module_name in places else [""]  # a function's name too
-        page += [f".. currentmodule:: {module_name}", ""]
+        page += [f".. currentmodule:: {home}", ""]
         page += [".. autosummary::", "   :toctree: objects", "   :nosignatures:", ""]
         page += [f"   {name}" for name in names]
         _write(folder / f"{module_name}.rst", "\n".join(page) + "\n")
         lines.append(f"   {module_name}")
         for name in names:
-            value = getattr(import_module(module_name), name)
-            full = f"{module_name}.{name}"
-            places[full] = places.setdefault(name, full)
-            places[full] = full
-            if home := getattr(value, "__module__", None):
-                places.setdefault(f"{home}.{name}", full)
+            value = getattr(public_module(module_name), name)
+            full = f"{home}.{name}"
+            places.setdefault(name, full)
+            places[full] = places[f"{module_name}.{name}"] = full
+            if defined := getattr(value, "__module__", None):
+                places.setdefault(f"{defined}.{name}", full)
     _write(folder / "index.rst", "\n".join(lines) + "\n")
     for stub in (folder / "objects").glob("*.rst"):
         if stub.stem not in places:  # of a name that is gone

@@ -21,7 +21,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.inference import default_noise, tree
 from weberwhisk.inference.quadrature import TOLERANCE, sums_of
-from weberwhisk.jnd import prior_draws
+from weberwhisk.sensitivity import prior_draws
 
 #: Contacts so many nats below the highest density must have a cell.
 NATS = 15.0

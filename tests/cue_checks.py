@@ -6,7 +6,7 @@ import numpy as np
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.jnd import weber_propagation
+from weberwhisk.sensitivity import weber_propagation
 
 #: Chance of fewer misses than this many sd of a binomial: one in 16 000.
 SDS = 4.0

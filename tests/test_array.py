@@ -15,7 +15,7 @@ from scipy.stats import kstest, powerlaw, uniform
 
 import weberwhisk as ww
 from weberwhisk import Status, cues, receptors
-from weberwhisk.array import ROLL, WhiskerArray, published
+from weberwhisk.array.follicles import ROLL, WhiskerArray, published
 from weberwhisk.mechanics.shape import Spiral
 
 # C2 by hand, from the equations as printed, with r = 3 and c = 3.

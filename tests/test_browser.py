@@ -75,8 +75,8 @@ with tempfile.TemporaryDirectory() as folder:
     assert ww.read_plan(folder + "/plan.json").fingerprint == plan.fingerprint
 """
 CAMPAIGN = """
-from weberwhisk.campaign import run, all_cores
-from weberwhisk.jnd_curves import jnd_rows
+from weberwhisk._util.campaign import run, all_cores
+from weberwhisk.sensitivity.curves import jnd_rows
 tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
        "radial_distance": [5e-3], "deflection_angle": None, "method": "quadrature",
        "criterion": "d'=1", "n_readings": 4}

@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from weberwhisk.campaign import CampaignError, read, run
-from weberwhisk.campaign.log import Log
+from weberwhisk._util.campaign import CampaignError, read, run
+from weberwhisk._util.log import Log
 
 HERE = Path(__file__).parent
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]
@@ -69,7 +69,7 @@ def test_linear_algebra_has_one_thread_everywhere() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(HERE)!r})\n"
         "import campaign_work\n"
-        "from weberwhisk.campaign import run\n"
+        "from weberwhisk._util.campaign import run\n"
         "if __name__ == '__main__':\n"
         "    chunks = [{'n': 3}, {'n': 40}]\n"
         "    for workers in (1, 2):\n"
@@ -132,7 +132,7 @@ def test_killed_outright_and_resumed(tmp_path: Path) -> None:
     code = (
         "import json, sys; sys.path.insert(0, sys.argv[1])\n"
         "import campaign_work\n"
-        "from weberwhisk.campaign import run\n"
+        "from weberwhisk._util.campaign import run\n"
         "if __name__ == '__main__':\n"
         "    run(campaign_work.draw, json.loads(sys.argv[3]), seed=7, workers=2, out=sys.argv[2])\n"
     )
@@ -282,7 +282,7 @@ def test_workers_that_cannot_start_say_why(tmp_path: Path) -> None:
     """A script without the guard that fresh interpreters need."""
     script = tmp_path / "unguarded.py"
     script.write_text(
-        "from weberwhisk.campaign import run\n"
+        "from weberwhisk._util.campaign import run\n"
         "run(print, [{'i': 0}, {'i': 1}], seed=1, workers=2)\n"  # nobody comes to it
     )
     ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)

@@ -17,10 +17,11 @@ import pytest
 import typer
 
 import weberwhisk as ww
-from weberwhisk import _checks, cli
+from weberwhisk import cli
+from weberwhisk._util import checks
+from weberwhisk._util.output import Run
 from weberwhisk.cli import new_app, progress, run_app
 from weberwhisk.commands import SCENES
-from weberwhisk.output import Run
 
 WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
 SOFT = [*WHISKER, "--youngs-modulus-gpa", "3"]
@@ -318,7 +319,7 @@ def test_every_command_has_the_common_options() -> None:
 
 def test_a_value_error_of_weberwhisk_is_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
     def command() -> None:
-        _checks.positive("length", -1, "give metres,\nsuch as 1")
+        checks.positive("length", -1, "give metres,\nsuch as 1")
 
     assert run_app(probe(command), ["probe"]) == 2
     sentence = "weberwhisk: length must be above zero, got -1; give metres, such as 1.\n"
@@ -454,7 +455,7 @@ import signal, sys, typer
 from pathlib import Path
 from weberwhisk.cli import new_app, run_app
 from weberwhisk.commands import SCENES
-from weberwhisk.output import Run
+from weberwhisk._util.output import Run
 
 app = new_app()
 

@@ -10,8 +10,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.contacts import HingedTap
-from weberwhisk.contacts.calibration import averaged
+from weberwhisk.recordings import HingedTap
+from weberwhisk.recordings.calibration import averaged
 
 TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)

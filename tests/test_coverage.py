@@ -27,8 +27,8 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import prior_draws
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 CUES = {

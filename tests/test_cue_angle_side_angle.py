@@ -8,8 +8,8 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import AngleSideAngle, ContactAndDetachment, Cue, TwoWhiskers
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 CUES = [

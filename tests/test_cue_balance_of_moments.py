@@ -10,10 +10,10 @@ from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import BalanceOfMoments, Cue
-from weberwhisk.jnd import prior_draws, weber_propagation
 from weberwhisk.mechanics import closed_form
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.receptors import GeneralisedWeber
+from weberwhisk.sensitivity import prior_draws, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 KNOWN, FELT = BalanceOfMoments(), BalanceOfMoments(effort=None)

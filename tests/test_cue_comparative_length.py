@@ -9,7 +9,7 @@ from short_forms import short_or_full
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import ComparativeLength, Cue
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(33.6e-3, 60e-6, 3e-6)
 PAIR = ComparativeLength([41.9e-3], [[-1e-3, 2e-3]])

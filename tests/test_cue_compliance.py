@@ -14,8 +14,8 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.cues import Compliance
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 R = np.array([10e-3, 25e-3, 40e-3])

@@ -20,8 +20,8 @@ from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 PAIRS = [ForceMap(pair) for pair in itertools.combinations(SIGNALS, 2)]

@@ -17,7 +17,6 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk import jnd as fusing
 from weberwhisk.cues import (
     AngleSideAngle,
     Compliance,
@@ -28,8 +27,9 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Afferents, GeneralisedWeber, Joint, SpikeCount, Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity import jnd as fusing
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 MAP_AND_TAP = Fused(ForceMap(), Compliance())

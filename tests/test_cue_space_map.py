@@ -25,10 +25,10 @@ from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
-from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.mechanics import rod
 from weberwhisk.mechanics.curved_surface import SIX
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+from weberwhisk.sensitivity import fisher_jnd, prior_draws, weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 CURVED = replace(W, curvature=8.0)

@@ -12,9 +12,9 @@ import weberwhisk as ww
 from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap, Vibration, VibrissaLength
 from weberwhisk.inference.laplace import count_peaks, is_divided
-from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import modes
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sensitivity import weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 R = np.array([[10e-3], [25e-3], [42e-3]])

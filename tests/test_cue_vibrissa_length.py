@@ -8,8 +8,8 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import Cue, VibrissaLength
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Events
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 CUES = [

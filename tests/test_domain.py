@@ -8,7 +8,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, cues, domain, posterior, receptors
-from weberwhisk.jnd import prior_draws
+from weberwhisk.sensitivity import prior_draws
 
 GOOD = (41e-3, 80e-6, 4e-6)
 

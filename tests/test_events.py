@@ -5,8 +5,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.cues import BalanceOfMoments, Compliance, ForceMap, Fused, VibrissaLength
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Events, Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 ONE_HOT = Events([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])

@@ -17,7 +17,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import design, figures
-from weberwhisk.jnd_curves import linear_surface
+from weberwhisk.sensitivity import linear_surface
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 

@@ -18,7 +18,6 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -27,6 +26,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import weber_propagation
 
 W = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 CONCAVE = replace(W, curvature=-12.0)

@@ -168,7 +168,7 @@ def test_any_rehearsal_is_done_or_refused(
     words += [w for pair in given_options for w in pair if pair != ("--workers", "2")][:4]
     with TemporaryDirectory() as folder:
         (Path(folder) / "plan.json").write_text(TEXT, "utf-8")
-        with mock.patch("weberwhisk.campaign._processes", _one_process):
+        with mock.patch("weberwhisk._util.campaign._processes", _one_process):
             check([*words, "--json"] if as_json else words, Path(folder))
 
 

@@ -19,9 +19,9 @@ from scipy.special import ndtr
 import weberwhisk as ww
 from weberwhisk.cues import ForceMap, Friction
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import profile, rod
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+from weberwhisk.sensitivity import fisher_jnd
 
 gallery, surveys, along_whisk, array_maps = (
     load(f"gallery.{name}") for name in ("make", "surveys", "along_whisk", "array_maps")

@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 
 import weberwhisk as ww
 from weberwhisk import Whisker, cues, mechanics, receptors
-from weberwhisk.contacts.calibration import HingedTap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, elastica
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.forward import ForwardModel
-from weberwhisk.sweeping import follow
+from weberwhisk.recordings.calibration import HingedTap
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 PLAIN = Whisker(50e-3, 100e-6, 5e-6)
 SOFT = 2 * PLAIN.moment_scale  # N m/rad

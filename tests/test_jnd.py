@@ -13,8 +13,8 @@ from weberwhisk.cues import (
     SpaceMap,
     UnknownCurvature,
 )
-from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sensitivity import fisher_jnd, is_linear, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 L, A = W.length, W.apex_distance

@@ -14,11 +14,16 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks` and `_values`. A folder's modules share its
+# its own folder, `_util.checks` and `_util.values`. A folder's modules share its
 # entry, unless they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
-    "_checks": (),
-    "_values": (),
+    "_util": (),
+    "_util.values": (),
+    "_util.checks": (),
+    "_util.threads": (),
+    "_util.output": (),
+    "_util.log": ("_util.output",),
+    "_util.campaign": ("_util.threads", "_util.log"),
     "domain": (),
     "whisker": ("domain",),
     "mechanics.chebyshev": (),
@@ -52,25 +57,17 @@ TABLE: dict[str, tuple[str, ...]] = {
         "mechanics.modes",
     ),
     "receptors": (),
-    "array": ("whisker", "mechanics.shape"),
     "cues": ("mechanics", "receptors"),
-    "inference": ("cues", "threads"),
-    "sweeping": ("inference",),
-    "jnd": ("inference",),
-    "place_sensor": ("array", "inference"),
-    "array_observer": ("place_sensor",),
-    "places": ("array_observer",),
-    "threads": (),
-    "campaign": ("threads", "output"),
-    "jnd_curves": ("jnd", "campaign"),
-    "output": (),
-    "contacts": ("inference",),
-    "behaviour": ("sweeping", "jnd", "campaign", "contacts", "places"),
-    "design": ("behaviour", "places"),
-    "figures": ("design", "places", "jnd_curves"),
-    "": ("figures", "contacts", "places"),
-    "cli": ("campaign",),
-    "commands": ("", "output", "cli"),
+    "inference": ("cues", "_util.threads"),
+    "array": ("inference",),
+    "sensitivity": ("inference", "_util.campaign"),
+    "recordings": ("inference",),
+    "behaviour": ("sensitivity", "recordings", "array"),
+    "design": ("behaviour", "array"),
+    "figures": ("design",),
+    "": ("figures",),
+    "cli": ("_util.campaign",),
+    "commands": ("", "cli"),
 }
 ONLY_IN = {
     "emcee": "inference",
@@ -127,7 +124,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_checks", "_values"}
+    own = {place, "_util.checks", "_util.values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 
@@ -217,14 +214,26 @@ def test_the_table_goes_one_way() -> None:
         ("whisker.py", "from weberwhisk.cues import x", "whisker.py imports weberwhisk.cues"),
         ("whisker.py", "import weberwhisk as ww", "whisker.py imports weberwhisk."),
         ("whisker.py", "from . import Bending", "whisker.py imports weberwhisk."),
-        ("whisker.py", "def f():\n    from . import jnd", "whisker.py imports weberwhisk.jnd"),
-        ("whisker.py", "if TYPE_CHECKING:\n    from . import jnd", "imports weberwhisk.jnd"),
-        ("whisker.py", "importlib.import_module('.jnd', 'weberwhisk')", "imports weberwhisk.jnd"),
-        ("whisker.py", "__import__('weberwhisk.jnd')", "imports weberwhisk.jnd"),
+        (
+            "whisker.py",
+            "def f():\n    from . import sensitivity",
+            "whisker.py imports weberwhisk.sensitivity",
+        ),
+        (
+            "whisker.py",
+            "if TYPE_CHECKING:\n    from . import sensitivity",
+            "imports weberwhisk.sensitivity",
+        ),
+        (
+            "whisker.py",
+            "importlib.import_module('.sensitivity', 'weberwhisk')",
+            "imports weberwhisk.sensitivity",
+        ),
+        ("whisker.py", "__import__('weberwhisk.sensitivity')", "imports weberwhisk.sensitivity"),
         ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
-        ("_checks.py", "from .whisker import Whisker", "_checks.py imports weberwhisk.whisker"),
-        ("output.py", "from .figures import x", "output.py imports weberwhisk.figures"),
-        ("cues/force_map.py", "from ..jnd import x", "imports weberwhisk.jnd"),
+        ("_util/checks.py", "from ..whisker import x", "checks.py imports weberwhisk.whisker"),
+        ("_util/output.py", "from ..figures import x", "output.py imports weberwhisk.figures"),
+        ("cues/force_map.py", "from ..sensitivity import x", "imports weberwhisk.sensitivity"),
         (
             "mechanics/contact.py",
             "from .elastica import x",
@@ -234,12 +243,16 @@ def test_the_table_goes_one_way() -> None:
         ("mechanics/elastica.py", "from .ladder import bend", "weberwhisk.mechanics.ladder"),
         (
             "inference/nested/deep.py",
-            "from ... import jnd",
-            "deep.py imports weberwhisk.jnd",
+            "from ... import sensitivity",
+            "deep.py imports weberwhisk.sensitivity",
         ),
-        ("jnd.py", "import emcee", "jnd.py imports emcee, which belongs in inference alone"),
-        ("jnd.py", "def f():\n    from arviz.stats import ess", "jnd.py imports arviz"),
-        ("jnd.py", "import arviz_stats", "jnd.py imports arviz_stats"),
+        (
+            "sensitivity/jnd.py",
+            "import emcee",
+            "jnd.py imports emcee, which belongs in inference alone",
+        ),
+        ("sensitivity/jnd.py", "def f():\n    from arviz.stats import ess", "jnd.py imports arviz"),
+        ("sensitivity/jnd.py", "import arviz_stats", "jnd.py imports arviz_stats"),
         (
             "cli.py",
             "import matplotlib.pyplot as plt",
@@ -265,18 +278,19 @@ def test_imports_that_go_round_are_found(tmp_path: Path) -> None:
 
 def test_a_good_tree_passes(tmp_path: Path) -> None:
     files = {
-        "__init__.py": "from .whisker import Whisker\nfrom . import jnd",
-        "whisker.py": "import numpy\nfrom ._checks import finite",
+        "__init__.py": "from .whisker import Whisker\nfrom . import sensitivity",
+        "whisker.py": "import numpy\nfrom ._util.checks import finite",
         "mechanics/__init__.py": "from .ladder import bend",
         "mechanics/ladder.py": "from . import closed_form\nfrom .contact import Bending",
         "cues/one.py": "def f():\n    from .two import x",
         "cues/two.py": "if TYPE_CHECKING:\n    from .one import x",
         "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
-        "inference/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
-        "inference/x.py": "from weberwhisk.inference.observer import Observer",
+        "inference/engine.py": "import emcee\nfrom .._util import checks\nfrom . import x",
+        "inference/x.py": "import arviz.stats\nfrom weberwhisk.inference.observer import Observer",
         "figures.py": "def f():\n    import matplotlib.pyplot",
-        "output.py": "from . import __version__",
-        "commands/bend.py": "import weberwhisk as ww\nfrom .. import output, figures, cli",
+        "_util/output.py": "from .. import __version__",
+        "commands/bend.py": "import weberwhisk as ww\nfrom .. import figures, cli",
+        "commands/fit.py": "from .._util import output",
     }
     assert offences(_fake(tmp_path, files)) == []
 
@@ -291,7 +305,8 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "mechanics", "cues", "inference", "campaign", "behaviour", "contacts", "design", "commands",
+        "_util", "mechanics", "cues", "inference", "sensitivity", "recordings", "array",
+        "behaviour", "design", "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}

@@ -31,7 +31,7 @@ def test_the_jnds_are_those_of_the_package():
     """The map's by the package; one moment's and eight moments' by the closed form k·r(1 − r/A)."""
     w, r, k = limits.WHISKER, 15e-3, limits.WEBER_FRACTION
     observer = ww.Observer(w, ww.cues.ForceMap(), ww.receptors.Weber(k))
-    found = np.ravel(ww.jnd.weber_propagation(observer, np.array([[r, limits.PUSH]])))[0]
+    found = np.ravel(ww.sensitivity.weber_propagation(observer, np.array([[r, limits.PUSH]])))[0]
     assert limits.jnd("force map", r) == pytest.approx(found, rel=1e-3)
     closed = k * r * (1 - r / w.apex_distance)
     assert limits.jnd("compliance", r) == pytest.approx(closed, rel=0.03)

@@ -12,10 +12,10 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.contacts import SPANS
-from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.one_distance import ReadingGroup, one_distance
+from weberwhisk.recordings.columns import find_columns, planar, unit_factor
+from weberwhisk.recordings.locate import SPANS
 
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)

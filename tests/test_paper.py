@@ -10,9 +10,9 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import closed_form
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import weber_propagation
 
 CONE = ww.Whisker(50e-3, 100e-6, 0.0)  # the paper's assumption in §2e: taper to zero at the tip
 W = ww.Whisker(50e-3, 100e-6, 5e-6)  # and in §2f: base over tip 20

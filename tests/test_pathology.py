@@ -6,8 +6,8 @@ import pytest
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sensitivity import weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 CONE = ww.Whisker(50e-3, 100e-6, 0.0)

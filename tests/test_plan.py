@@ -24,6 +24,7 @@ from scipy.stats import norm
 from short_forms import short_or_full
 
 from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
+from weberwhisk._util.output import csv_text
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
 from weberwhisk.behaviour.encodings import ConstantNoise
 from weberwhisk.behaviour.simulate import draw_animals, simulate_responses
@@ -47,7 +48,6 @@ from weberwhisk.design import (
 from weberwhisk.design.plan_file import decode, encode, plan_of
 from weberwhisk.design.session import bpod_table, psychopy_tables
 from weberwhisk.design.words import preregistration
-from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
 OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]

@@ -18,7 +18,7 @@ from weberwhisk.design import Goal, Hypothesis, Plan, Scheme, hypotheses
 from weberwhisk.design.plan_file import decode, encode, plan_json, plan_of
 from weberwhisk.design.words import assumptions, preregistration
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import weber_propagation
+from weberwhisk.sensitivity import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 SHORT = ww.Whisker(35e-3, 70e-6, 4e-6)

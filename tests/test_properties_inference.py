@@ -10,8 +10,8 @@ from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
 
 import weberwhisk as ww
 from weberwhisk import Status, cues, receptors
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 FRACTION = logarithmic(1e-3, 1.0)  # Weber fractions
 SIGNALS = st.lists(

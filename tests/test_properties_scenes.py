@@ -12,10 +12,10 @@ from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
 import weberwhisk as ww
 from weberwhisk import Observer, cues, receptors
 from weberwhisk.cues import Fused
-from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
 from weberwhisk.mechanics.modes import impulse_response, modes
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.sensitivity import fisher_jnd
 
 #: A sweep takes a tenth of a second: few examples.
 sweeps = settings(max_examples=max(settings.default.max_examples // 5, 3))

@@ -15,7 +15,6 @@ import weberwhisk as ww
 from weberwhisk import cues
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.inference.coordinates import UNITS
-from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import (
     Afferents,
     Events,
@@ -27,6 +26,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 NOISES = [

@@ -16,7 +16,7 @@ from weberwhisk import cli
 from weberwhisk.behaviour import load_rat_auditory
 from weberwhisk.cli import run_app
 from weberwhisk.commands import quickstart
-from weberwhisk.jnd_curves import linear_surface
+from weberwhisk.sensitivity import linear_surface
 
 FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")
 

@@ -27,11 +27,11 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import fisher_jnd, prior_draws
+from weberwhisk.inference.sweeping import SweepFilter
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
-from weberwhisk.sweeping import SweepFilter
+from weberwhisk.sensitivity import fisher_jnd, prior_draws
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)

@@ -8,7 +8,6 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Status, domain
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -18,6 +17,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 GAUSSIAN = {
     "weber": Weber(0.1),

@@ -15,8 +15,8 @@ import pandas as pd
 import pytest
 
 import weberwhisk
-from weberwhisk import output
-from weberwhisk.output import Run, atomic_write, to_json
+from weberwhisk._util import output
+from weberwhisk._util.output import Run, atomic_write, to_json
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
 
@@ -278,7 +278,7 @@ RACING = """
 import sys
 import time
 import pandas as pd
-from weberwhisk.output import Run
+from weberwhisk._util.output import Run
 
 out, value = sys.argv[1], float(sys.argv[2])
 names = ("bend", "second", "third")[: 3 if value == 1 else 2]

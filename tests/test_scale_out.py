@@ -18,7 +18,7 @@ from test_campaign import CHUNKS, logged, same
 
 import weberwhisk as ww
 from weberwhisk import campaign
-from weberwhisk.campaign import CampaignError, run
+from weberwhisk._util.campaign import CampaignError, run
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, taper
 

@@ -8,8 +8,8 @@ import weberwhisk as ww
 from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import Status, default_noise
-from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import prior_draws
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 #: Two modes of a vibration leave two distances; a poor map does not tell which.

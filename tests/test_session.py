@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from weberwhisk._util.log import read_lines
 from weberwhisk.behaviour import IdentityEncoding, fit_weber
-from weberwhisk.campaign.log import read_lines
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice
 from weberwhisk.design.session import converse

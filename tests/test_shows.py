@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import io
+import operator
 import pydoc
 import re
 import subprocess
@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from nbclient import NotebookClient
 
 import weberwhisk as ww
-from weberwhisk._values import Shown, with_units
+from weberwhisk._util.values import Shown, with_units
 from weberwhisk.design import Goal, Plan, Scheme, taper
 from weberwhisk.inference.coordinates import UNITS
 
@@ -205,7 +205,7 @@ w.length ww.receptors.Weber([0.1,0.2]).weber_fraction"""
 
 def test_no_public_result_is_of_any_type() -> None:
     """What public functions return, and what fields and methods of public classes say they hold."""
-    modules = [ww, *(importlib.import_module(f"weberwhisk.{name}") for name in PUBLIC)]
+    modules = [ww, *(operator.attrgetter(name)(ww) for name in PUBLIC)]
     homes = [vars(module) for name, module in sys.modules.items() if name.startswith("weberwhisk")]
     classes = {k: v for home in homes for k, v in home.items() if isinstance(v, type)}
     returned: dict[str, str] = {}

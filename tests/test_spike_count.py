@@ -12,8 +12,8 @@ import weberwhisk as ww
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.inference.laplace import find_mode
 from weberwhisk.inference.result import is_improbable
-from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Afferents, SpikeCount, Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 SLOW, RAPID = Afferents(75, 1e-8, 1e-5), Afferents(25, 1e-6, 1e-3)
 POPULATIONS = {

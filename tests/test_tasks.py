@@ -281,7 +281,7 @@ def test_every_cue_is_an_encoding_of_distance_with_its_own_jnd(cue: str) -> None
     encoding = CueEncoding(observer, angle)
     assert encoding.direction == 1  # distance itself, or the balance angle, which grows with it
     contact = R[:, None] if angle is None else np.stack([R, [angle, angle]], axis=-1)
-    jnd = ww.jnd.weber_propagation(observer, observer.at_middle(contact))
+    jnd = ww.sensitivity.weber_propagation(observer, observer.at_middle(contact))
     if cue == "balance-of-moments":  # one signal: the angle is the encoding
         jnd = observer.noise.sd(observer.signals(contact)[0])[:, 0]
     # At the receptors' own Weber fraction, 0.1, the noise is their own.

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from weberwhisk import threads
+from weberwhisk._util import threads
+from weberwhisk._util.campaign import all_cores
 from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, simulate_population
-from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
 

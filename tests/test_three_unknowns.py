@@ -16,8 +16,8 @@ from weberwhisk.cues import (
 )
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.laplace import find_mode
-from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
+from weberwhisk.sensitivity import fisher_jnd, prior_draws, weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 

@@ -10,10 +10,9 @@ from short_forms import slow_but
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.touches import touches
-from weberwhisk.jnd import prior_draws
-from weberwhisk.jnd_curves import touches_jnd
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sensitivity import prior_draws, touches_jnd
 
 W = Whisker(50e-3, 100e-6, 5e-6)
 

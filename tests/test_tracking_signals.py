@@ -76,7 +76,7 @@ def _covered(found: pd.DataFrame, truth: pd.DataFrame) -> pd.Series:
 
 def test_shapes_are_those_of_the_planar_beam() -> None:
     """Moment, forces, distance and angle of the fit's own integration beside `press`."""
-    from weberwhisk.contacts.shapes import Shapes
+    from weberwhisk.recordings.shapes import Shapes
 
     r, more = np.array([10e-3, 15e-3, 20e-3, 15e-3]), np.array([0.1, 0.2, 0.2, 0.2])
     tilt = np.array([0, 0, 0, 0.3])
@@ -136,8 +136,8 @@ def test_a_pole_gives_the_distance_and_the_mechanics_check_it() -> None:
 
 def test_errors_of_moment_and_forces_are_those_of_monte_carlo_over_the_fit() -> None:
     """By slopes, as they are had, and by 2000 draws of the fit's own covariance."""
-    from weberwhisk.contacts.shapes import BENT, Extra, Shapes, points_of
-    from weberwhisk.contacts.signals import _bent
+    from weberwhisk.recordings.shapes import BENT, Extra, Shapes, points_of
+    from weberwhisk.recordings.signals import _bent
 
     video, truth = _scene(2, [12e-3, 20e-3], frames=80)
     some = video[truth["contact"].to_numpy()]
@@ -265,7 +265,7 @@ def test_a_table_of_signals_is_the_same_from_a_file(tmp_path: Path) -> None:
 
 
 def test_false_alarms_are_as_stated_and_contacts_may_be_given() -> None:
-    from weberwhisk.contacts.shapes import free_frames, median_shape
+    from weberwhisk.recordings.shapes import free_frames, median_shape
 
     rng = np.random.default_rng(5)
     root = np.array([[1, 0, 0], [-0.9, 0.4, 0], [0.5, -0.6, 0.2]])

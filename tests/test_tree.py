@@ -28,7 +28,6 @@ from weberwhisk.cues import (
     Fused,
     Vibration,
 )
-from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -37,6 +36,7 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
+from weberwhisk.sensitivity import prior_draws
 
 fusions = load("stability_whiskers")
 W = ww.Whisker(50e-3, 100e-6, 5e-6)

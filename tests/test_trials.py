@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from weberwhisk._util.output import csv_text
 from weberwhisk.behaviour import (
     Trials,
     fit_weber,
@@ -21,7 +22,6 @@ from weberwhisk.behaviour import (
     read_trials,
     simulate_trials,
 )
-from weberwhisk.output import csv_text
 
 GOOD = "stimulus_1,stimulus_2,choice\n1,1.1,1\n1,0.9,0\n"
 

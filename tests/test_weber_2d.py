@@ -9,8 +9,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.jnd_curves import jnd_curve
+from weberwhisk.sensitivity import fisher_jnd, jnd_curve, weber_propagation
 
 weber_2d = load("gallery.surveys")
 W, K = weber_2d.WHISKER, weber_2d.K

@@ -13,17 +13,19 @@ if TYPE_CHECKING:
     __version__: str
     from . import array as array
     from . import behaviour as behaviour
-    from . import campaign as campaign
-    from . import contacts as contacts
     from . import cues as cues
     from . import design as design
     from . import figures as figures
     from . import inference as inference
     from . import mechanics as mechanics
-    from . import places as places
     from . import receptors as receptors
-    from . import sweeping as sweeping
+    from . import recordings as recordings
+    from ._util import campaign as campaign
+    from ._util.output import cite as cite
+    from .array import ArrayObserver as ArrayObserver
+    from .array import Place as Place
     from .array import WhiskerArray as WhiskerArray
+    from .array.place import place as place
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
@@ -34,10 +36,6 @@ if TYPE_CHECKING:
     from .behaviour import read_trials as read_trials
     from .behaviour import simulate_population as simulate_population
     from .behaviour import simulate_trials as simulate_trials
-    from .contacts import calibrate as calibrate
-    from .contacts import locate as locate
-    from .contacts import read_tracking as read_tracking
-    from .contacts import tracked_signals as tracked_signals
     from .design import plan_experiment as plan_experiment
     from .design import power as power
     from .design import read_plan as read_plan
@@ -46,18 +44,10 @@ if TYPE_CHECKING:
     from .inference import Posterior as Posterior
     from .inference import Status as Status
     from .inference import posterior as posterior
+    from .inference import sweeping as sweeping
     from .inference.observer import Observer as Observer
     from .inference.touches import Touches as Touches
     from .inference.touches import touches as touches
-    from .jnd import added_information as added_information
-    from .jnd import convert_jnd as convert_jnd
-    from .jnd import criterion_factor as criterion_factor
-    from .jnd import fused_jnds as fused_jnds
-    from .jnd import information as information
-    from .jnd_curves import JNDCurve as JNDCurve
-    from .jnd_curves import jnd_curve as jnd_curve
-    from .jnd_curves import jnd_sweep as jnd_sweep
-    from .jnd_curves import touches_jnd as touches_jnd
     from .mechanics import Bending as Bending
     from .mechanics import Choice as Choice
     from .mechanics import FlickPast as FlickPast
@@ -73,34 +63,43 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
-    from .output import cite as cite
-    from .places import ArrayObserver as ArrayObserver
-    from .places import Place as Place
-    from .places import place as place
+    from .recordings import calibrate as calibrate
+    from .recordings import read_tracking as read_tracking
+    from .recordings import tracked_signals as tracked_signals
+    from .recordings.locate import locate as locate
+    from .sensitivity import JNDCurve as JNDCurve
+    from .sensitivity import added_information as added_information
+    from .sensitivity import convert_jnd as convert_jnd
+    from .sensitivity import criterion_factor as criterion_factor
+    from .sensitivity import fused_jnds as fused_jnds
+    from .sensitivity import information as information
+    from .sensitivity import jnd_curve as jnd_curve
+    from .sensitivity import jnd_sweep as jnd_sweep
+    from .sensitivity import touches_jnd as touches_jnd
     from .whisker import Whisker as Whisker
     from .whisker import identities as identities
 
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
 _NAMES = {
     "whisker": "Whisker identities",
-    "array": "WhiskerArray",
+    "array": "ArrayObserver Place WhiskerArray place",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sweep",
     "inference": "Observer Posterior Status Touches posterior touches",
-    "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
-    "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
+    "sensitivity": "JNDCurve added_information convert_jnd criterion_factor fused_jnds "
+    "information jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking tracked_signals",
+    "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
-    "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
-    "output": "cite",
+    "_util.output": "cite",
 }
 _MODULES = {
-    "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
-    "inference", "mechanics", "places", "receptors", "sweeping",
-}  # fmt: skip
+    name: name
+    for name in ("array", "behaviour", "cues", "design", "figures", "inference", "mechanics",
+                 "receptors", "recordings")
+} | {"campaign": "_util.campaign", "sweeping": "inference.sweeping"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
@@ -118,7 +117,7 @@ def _version() -> str:
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        return import_module(f".{name}", __name__)
+        return import_module(f".{_MODULES[name]}", __name__)
     if name == "__version__":
         return _version()
     if name not in _HOME:

@@ -24,7 +24,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 if TYPE_CHECKING:
-    from ._values import Array
+    from ._util.values import Array
 
 
 #: Refusals are one sentence, not a box, and a traceback is the whole traceback.
@@ -133,7 +133,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str]) -> int:
             raise
         return _refuse(str(error))
     except RuntimeError as error:
-        from .campaign import CampaignError
+        from ._util.campaign import CampaignError
 
         if not isinstance(error, CampaignError) or getattr(error, "__notes__", None):
             raise  # a bug, or the work's own traceback
@@ -189,7 +189,7 @@ def progress(
     if as_json:
         yield lambda done=1.0: None
         return
-    from .output import shown
+    from ._util.output import shown
 
     with shown(description, total, every=every) as advance:
         yield advance

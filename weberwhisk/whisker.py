@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import domain
-from ._checks import finite, one_of, positive, positive_number, shown
-from ._values import Array, Value
+from ._util.checks import finite, one_of, positive, positive_number, shown
+from ._util.values import Array, Value
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
 YOUNGS_MODULUS = 3.34e9

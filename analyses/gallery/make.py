@@ -23,6 +23,7 @@ from command import options
 from gallery import along_plots, along_whisk, array_maps, plots, surveys
 
 import weberwhisk as ww
+from weberwhisk._util.output import Run
 from weberwhisk.behaviour import (
     CueEncoding,
     Encoding,
@@ -32,7 +33,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.design import Hypothesis, Scheme, taper
 from weberwhisk.inference import default_noise
-from weberwhisk.output import Run
 
 W = surveys.WHISKER
 

@@ -42,10 +42,10 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
-from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.jnd_curves import linear_surface, up_to_the_fold
 from weberwhisk.mechanics.model_choice import of_shape_at_rest
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity.curves import linear_surface, up_to_the_fold
 
 Array = np.ndarray
 WHISKER = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)

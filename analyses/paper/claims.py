@@ -35,11 +35,11 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.jnd import weber_propagation
+from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, cylinder
 from weberwhisk.mechanics.muscle import MuscleCurve, moment_balance
 from weberwhisk.receptors import Weber
-from weberwhisk.sweeping import follow
+from weberwhisk.sensitivity import weber_propagation
 
 Array = np.ndarray
 L = float(WHISKER.length)

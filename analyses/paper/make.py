@@ -21,8 +21,8 @@ from gallery.make import Asked, figure_4a, figure_4b
 from gallery.surveys import SEED
 from paper import claims, plots, remade
 
+from weberwhisk._util.output import Run, atomic_write
 from weberwhisk.mechanics.muscle import MuscleCurve
-from weberwhisk.output import Run, atomic_write
 
 
 def figures(short: bool) -> dict[str, tuple[dict[str, pd.DataFrame], Any]]:

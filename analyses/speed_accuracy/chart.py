@@ -40,7 +40,7 @@ from weberwhisk import (
     simulate_trials,
 )
 from weberwhisk.inference.laplace import find_mode
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 Array = np.ndarray
 WHISKER = Whisker(50e-3, 100e-6, 5e-6)

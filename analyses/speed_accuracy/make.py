@@ -44,9 +44,9 @@ from speed_accuracy import chart as charts
 from speed_accuracy.beams import timed
 
 import weberwhisk as ww
+from weberwhisk._util.output import Run
 from weberwhisk.behaviour import Trials
 from weberwhisk.mechanics import closed_form
-from weberwhisk.output import Run
 
 HERE = Path(__file__).parent
 Array = np.ndarray

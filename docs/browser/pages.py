@@ -21,9 +21,9 @@ import pandas as pd
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
-from weberwhisk.contacts.files import load_table
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.words import preregistration
+from weberwhisk.recordings.files import load_table
 
 Fields = dict[str, str]
 Shown = dict[str, Any]

@@ -13,8 +13,8 @@ import numpy as np
 import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
-from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
+from weberwhisk.sensitivity import prior_draws
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 

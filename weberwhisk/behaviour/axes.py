@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from .._values import Array
+from .._util.values import Array
 from ..domain import FITTED_WEBER_FRACTIONS
 from .likelihood import WeberModel
 from .priors import REACH, Priors

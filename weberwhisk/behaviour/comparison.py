@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
-from .. import _checks
-from .._values import Array, Index, Shown
+from .._util import checks
+from .._util.values import Array, Index, Shown
 from ..inference.arviz_io import pointwise_loo
 from .criticism import Rows
 from .estimates import check_fit
@@ -94,7 +94,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     """
     if not isinstance(fits, Mapping):
         raise ValueError(
-            f"fits must be a mapping of names to fits, got {_checks.shown(fits)}; write "
+            f"fits must be a mapping of names to fits, got {checks.shown(fits)}; write "
             "compare({'one': fit, 'two': other})."
         )
     for name, fit in fits.items():

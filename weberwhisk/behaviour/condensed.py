@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._values import Array, Index
+from .._util.values import Array, Index
 
 __all__ = ["nodes_of"]
 

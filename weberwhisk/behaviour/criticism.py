@@ -16,8 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
-from .. import _checks
-from .._values import Array, Index
+from .._util.checks import generator, one_of
+from .._util.values import Array, Index
 from .estimates import Estimates, check_fit
 from .likelihood import gather
 from .predictive import compared
@@ -53,7 +53,7 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     if not columns:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
-        _checks.one_of("column", column, map(str, rows.frame.columns))
+        one_of("column", column, map(str, rows.frame.columns))
     p = _expected(fit).mean(axis=0)[rows.cell]
     table = rows.frame[list(columns)].assign(
         n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
@@ -86,7 +86,7 @@ def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
     lower = np.where(count > 0, bdtr(np.maximum(count - 1, 0), whole, p).mean(axis=0), 0.0)
-    u = _checks.generator(seed).random(count.size)
+    u = generator(seed).random(count.size)
     pit = np.clip(lower + u * (upper - lower), 1e-12, 1 - 1e-12)
     return gathered.assign(pit=pit, z=ndtri(pit))
 
@@ -125,7 +125,7 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
     by_cell = fit.model.probability(*draws.values)
-    rng = _checks.generator(seed)
+    rng = generator(seed)
     statistics = rows.statistics()
     # (seen, made) of every statistic; few draws at a time where there are many rows.
     values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}

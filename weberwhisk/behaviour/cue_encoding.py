@@ -15,13 +15,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Codes
+from .._util import checks
+from .._util.values import Array, Codes
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
-from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise
+from ..sensitivity import weber_propagation
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class CueEncoding:
 
     def __post_init__(self) -> None:
         hint = "write Observer(whisker, cues.Compliance()), say"
-        _checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
-        _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
+        checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
+        checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
         cue = self.observer.cue
         if self.observer.noise.is_categorical:
             raise ValueError(
@@ -78,8 +78,8 @@ class CueEncoding:
             )
         if self.deflection_angle is not None:
             hint = "give radians, such as 0.2"
-            _checks.number("deflection_angle", self.deflection_angle, hint)
-            _checks.angle("deflection_angle", self.deflection_angle, hint)
+            checks.number("deflection_angle", self.deflection_angle, hint)
+            checks.angle("deflection_angle", self.deflection_angle, hint)
         if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
             raise ValueError(
                 f"{cue!r} needs the deflection angle of the contacts, got none; "
@@ -286,9 +286,9 @@ class PooledEncoding(PlaceItself):
 
     def __post_init__(self) -> None:
         hint = "write PooledEncoding.of_touches(observer, [0.1, 0.2]), say"
-        given = tuple(_checks.several("looks", self.looks, hint))
+        given = tuple(checks.several("looks", self.looks, hint))
         for look in given:
-            _checks.kind("a look", look, "a CueEncoding", "has_weber_fraction", hint)
+            checks.kind("a look", look, "a CueEncoding", "has_weber_fraction", hint)
         if not given:
             raise ValueError(f"looks is empty; {hint}.")
         if len({look.unit for look in given}) > 1:
@@ -306,7 +306,7 @@ class PooledEncoding(PlaceItself):
             raise ValueError(
                 f"offsets has {len(offsets)} numbers for {len(given)} looks; give one a look."
             )
-        _checks.finite("offsets", offsets, "give the distances between the bases")
+        checks.finite("offsets", offsets, "give the distances between the bases")
         object.__setattr__(self, "looks", given)
         object.__setattr__(self, "offsets", offsets)
 
@@ -319,7 +319,7 @@ class PooledEncoding(PlaceItself):
         A cue that does not need the angle takes them for the number of touches alone.
         """
         angles = np.atleast_1d(
-            _checks.finite("deflection_angles", deflection_angles, "give radians, one a touch")
+            checks.finite("deflection_angles", deflection_angles, "give radians, one a touch")
         )
         return cls(tuple(CueEncoding(observer, float(a), unit) for a in angles))
 

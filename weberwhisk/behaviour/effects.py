@@ -16,8 +16,8 @@ import numpy as np
 from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
 
@@ -214,13 +214,13 @@ def check_effects(effects: Any) -> None:
     """Refuses what is not a sequence of effects, with what to write instead."""
     if isinstance(effects, str) or not isinstance(effects, Sequence):
         raise ValueError(
-            f"effects must be a sequence, got {_checks.shown(effects)}; write effects=[Drift()], "
+            f"effects must be a sequence, got {checks.shown(effects)}; write effects=[Drift()], "
             "say, with Drift from weberwhisk.behaviour.effects."
         )
     for effect in effects:
         named = EFFECTS.get(effect) if isinstance(effect, str) else None
         instead = type(named).__name__ if named else getattr(effect, "__name__", "Drift")
-        _checks.kind(
+        checks.kind(
             "an effect", effect, "an Effect", "apply",
             f"write {instead}(), from weberwhisk.behaviour.effects",
         )  # fmt: skip
@@ -233,15 +233,15 @@ def check_valued(effects: Any) -> None:
         pairs = [(effect, value) for effect, value in effects]
     except (TypeError, ValueError):
         raise ValueError(
-            f"effects must be pairs of an effect and its value, got {_checks.shown(effects)}; "
+            f"effects must be pairs of an effect and its value, got {checks.shown(effects)}; "
             f"{hint}."
         ) from None
     check_effects([effect for effect, _ in pairs])
     for effect, value in pairs:
-        values = _checks.finite(f"the value of {effect.name}", value, hint)
+        values = checks.finite(f"the value of {effect.name}", value, hint)
         if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
             raise ValueError(
-                f"overdispersion must lie between 0 and 1, got {_checks.shown(value)}; write "
+                f"overdispersion must lie between 0 and 1, got {checks.shown(value)}; write "
                 "0.05, say."
             )
 
@@ -259,7 +259,7 @@ def effect_named(name: str) -> Effect:
     >>> effect_named("drift").prior.std()
     np.float64(0.5)
     """
-    return EFFECTS[_checks.one_of("effect", name, EFFECTS)]
+    return EFFECTS[checks.one_of("effect", name, EFFECTS)]
 
 
 def effect_valued(text: str) -> tuple[Effect, float]:
@@ -277,4 +277,4 @@ def effect_valued(text: str) -> tuple[Effect, float]:
     """
     name, _, value = text.rpartition(":")
     hint = f"write {name or text}:0.3, say"
-    return effect_named(name or text), _checks.number("the value of an effect", value, hint)
+    return effect_named(name or text), checks.number("the value of an effect", value, hint)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Flags, Index
+from .._util import checks
+from .._util.values import Array, Flags, Index
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 if TYPE_CHECKING:
-    from ..places import ArrayObserver
+    from ..array import ArrayObserver
 
 
 NOISES = ("weber", "equal-variance")
@@ -90,7 +90,7 @@ class LogEncoding:
     domain: tuple[float, float] = (-np.inf, np.inf)
 
     def __post_init__(self) -> None:
-        _checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
+        checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return np.exp(self.log_unit * np.asarray(stimulus, dtype=float))
@@ -166,15 +166,15 @@ class PlaceEncoding(PlaceItself):
 
     def __post_init__(self) -> None:
         hint = "write ArrayObserver(WhiskerArray('rat', 'right').protract(0.7)), say"
-        _checks.kind("observer", self.observer, "an ArrayObserver", "touching", hint)
-        _checks.positive("length", self.length, "write 10e-3, say")
-        _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
-        _checks.positive("weber_fraction", self.weber_fraction, "write 0.1, say")
-        if _checks.finite("start", self.start, "give x and y in metres").shape != (2,):
+        checks.kind("observer", self.observer, "an ArrayObserver", "touching", hint)
+        checks.positive("length", self.length, "write 10e-3, say")
+        checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
+        checks.positive("weber_fraction", self.weber_fraction, "write 0.1, say")
+        if checks.finite("start", self.start, "give x and y in metres").shape != (2,):
             raise ValueError(
                 f"start must be x and y, got {self.start!r}; write (20e-3, 5e-3), say."
             )
-        _checks.number("direction_deg", self.direction_deg, "give degrees")
+        checks.number("direction_deg", self.direction_deg, "give degrees")
 
     @property
     def domain(self) -> tuple[float, float]:
@@ -261,7 +261,7 @@ def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None
 def checked_encoding(encoding: Any) -> None:
     """Refuse what is no `Encoding`."""
     hint = "write IdentityEncoding(), say"
-    _checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
+    checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
 
 
 def gives_signal(encoding: Encoding, stimulus: ArrayLike) -> Flags:
@@ -298,7 +298,7 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
 def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
     """Refuse what the whisker cannot reach, past its tip, past its base, or flicked past: the
     farthest offender, and by how much it is off."""
-    at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
+    at = np.atleast_1d(checks.numbers(name, stimulus, "give one distance, or several"))
     if not at.size:
         raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
     low, high = encoding.domain
@@ -407,7 +407,7 @@ def unit_encodings(
     With "weber" noise each interval has the sd of its own stimulus, as a receptor has;
     "equal-variance" is the textbook form, where both have the sd of the standard.
     """
-    _checks.one_of("noise", noise, NOISES)
+    checks.one_of("noise", noise, NOISES)
     s1, s2, s0 = np.broadcast_arrays(
         *(np.asarray(s, float) for s in (stimulus_1, stimulus_2, standard))
     )
@@ -424,7 +424,7 @@ def unit_encodings(
 
 def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
     """The encoding a table of magnitudes calls for, when no whisker stands between."""
-    _checks.one_of("noise", noise, NOISES)
+    checks.one_of("noise", noise, NOISES)
     if scale == "linear":
         return IdentityEncoding()
     if log_unit is None or noise == "equal-variance":

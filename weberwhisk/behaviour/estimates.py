@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Shown, interval_text
+from .._util import checks
+from .._util.values import Array, Shown, interval_text
 from . import predictive
 from . import psychometric as curve
 from .effects import Effect
@@ -96,8 +96,8 @@ class Estimates(Shown):
             As much left out on either side, or the shortest (highest density).
         """
         if parameter != "weber_fraction":
-            _checks.one_of("parameter", parameter, self.parameters)
-        _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
+            checks.one_of("parameter", parameter, self.parameters)
+        checks.one_of("kind", kind, ("equal-tailed", "hdi"))
         below = np.array(tails(mass)[:1])
         if kind == "hdi":
             below = np.linspace(0, 1, 2001) * 2 * below
@@ -175,7 +175,7 @@ class Estimates(Shown):
         at, even = np.array([ends_at[0], 0.5, ends_at[1]]), (np.arange(200) + 0.5) / 200
         given = self.standards if standard is None else standard
         rows = []
-        for s in map(float, _checks.finite("standard", given, "give one or several").ravel()):
+        for s in map(float, checks.finite("standard", given, "give one or several").ravel()):
             k = self.posterior.quantile("weber_fraction", [*at, *even])
             bias: ArrayLike = 0.0
             effects: list[tuple[Effect, Array]] = []
@@ -225,7 +225,7 @@ class Estimates(Shown):
         DataFrame
             `comparison`, `median`, `lower`, `upper`: proportions.
         """
-        levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
+        levels = np.atleast_1d(checks.finite("comparisons", comparisons, "give one or several"))
         refuse_outside(self.encoding, levels)
         if standard is None:
             if self.standards.size != 1:
@@ -234,7 +234,7 @@ class Estimates(Shown):
                     f"standard={self.standards[0]:g}."
                 )
             standard = float(self.standards[0])
-        standard = _checks.number("standard", standard, "name one standard")
+        standard = checks.number("standard", standard, "name one standard")
         d = self.posterior.draws().thinned(1000)
         p = curve.response_probability(
             self.model.task, self.encoding, standard, levels, weber_fraction=d.weber_fraction,
@@ -269,13 +269,13 @@ class Estimates(Shown):
 
     def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
         """The data beside what the priors alone expect of these trials: a check on the priors."""
-        rng = _checks.generator(seed)
+        rng = checks.generator(seed)
         return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
 
     def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
         """The data beside what the fitted observer would answer to these trials."""
         draws = self.posterior.draws().thinned(2000)
-        return predicted(self.model, draws, _checks.generator(seed))
+        return predicted(self.model, draws, checks.generator(seed))
 
     @cached_property
     def lapse_sensitivity(self) -> pd.DataFrame:
@@ -292,12 +292,12 @@ class Estimates(Shown):
 
 def check_fit(fit: object, name: str = "fit") -> None:
     """Refuses what is not a fit of one observer."""
-    _checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
+    checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
 
 
 def tails(mass: float) -> tuple[float, float]:
     """Probabilities below the ends of an equal-tailed interval."""
-    value = _checks.between("mass", mass, "write for example 0.95")
+    value = checks.between("mass", mass, "write for example 0.95")
     return 0.5 - value / 2, 0.5 + value / 2
 
 

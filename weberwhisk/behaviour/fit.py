@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import _checks
+from .._util import checks
+from .._util.threads import one_blas_thread
 from ..inference.arviz_io import ArvizData
-from ..threads import one_blas_thread
 from . import report
 from .effects import Effect
 from .encodings import NOISES, Encoding
@@ -136,7 +136,7 @@ def fit_weber(
     >>> low < 0.1 < high
     True
     """
-    _checks.one_of("noise", noise, NOISES)
+    checks.one_of("noise", noise, NOISES)
     if distances is not None:
         trials, encoding = at_touches(trials, distances, encoding, observer)
         observer = None
@@ -144,8 +144,8 @@ def fit_weber(
     # One parameter more than five costs a sampler less than a grid.
     by_itself = "quadrature" if sum(model.free) + model.free_bias <= 5 else "emcee"
     used = by_itself if method is None else method
-    _checks.one_of("method", used, METHODS)
-    rng = _checks.generator(seed)
+    checks.one_of("method", used, METHODS)
+    rng = checks.generator(seed)
     fewer = model.merged()
     posterior: WeberPosterior
     if used == "emcee":

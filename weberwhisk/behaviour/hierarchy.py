@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 from scipy.special import ndtr
 
-from .._values import Array
+from .._util.values import Array
 from .integrate import half_grid_error
 
 __all__ = ["Population", "integrate_population", "log_product", "normal_weights"]

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .. import _checks
-from .._values import Array, Flags
-from ..contacts.files import as_number, load_table
+from .._util import checks
+from .._util.values import Array, Flags
+from ..recordings.files import as_number, load_table
 from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,
@@ -108,19 +108,19 @@ def read_trials(
     for ours, theirs in (columns or {}).items():
         if not isinstance(theirs, str):
             raise ValueError(
-                f"columns[{ours!r}] must be the name of a column, got {_checks.shown(theirs)}; "
+                f"columns[{ours!r}] must be the name of a column, got {checks.shown(theirs)}; "
                 "write it as it stands in the header."
             )
     _check_mapping("choice_labels", choice_labels, "{'L': 'first', 'R': 'second'}")
-    _checks.one_of("scale", scale, SCALES)
+    checks.one_of("scale", scale, SCALES)
     if whisker is not None:
         hint = "write Whisker.from_identity('C2'), say"
-        _checks.kind("whisker", whisker, "a Whisker", "length", hint)
+        checks.kind("whisker", whisker, "a Whisker", "length", hint)
     named = None if task is None else task_named(task)
     if log_unit is not None:
         hint = "give natural-log units per unit of the column"
-        log_unit = _checks.number("log_unit", log_unit, hint)
-        _checks.positive("log_unit", log_unit, hint)
+        log_unit = checks.number("log_unit", log_unit, hint)
+        checks.positive("log_unit", log_unit, hint)
     raw, name = load_table(source)
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
@@ -180,7 +180,7 @@ def _choose_columns(
     """
     here = [str(c) for c in raw.columns]
     for ours, theirs in mapping.items():
-        _checks.one_of("columns key", ours, NAMES)
+        checks.one_of("columns key", ours, NAMES)
         if theirs in here:
             check.table[ours] = raw[theirs]
         else:
@@ -212,7 +212,7 @@ def _choose_columns(
 def _check_mapping(name: str, value: object, example: str) -> None:
     if value is not None and not isinstance(value, Mapping):
         raise ValueError(
-            f"{name} must be a mapping, got {_checks.shown(value)}; write {name}={example}, say."
+            f"{name} must be a mapping, got {checks.shown(value)}; write {name}={example}, say."
         )
 
 
@@ -369,7 +369,7 @@ def _single_answers(
         return kept, f"{remedy}choice_labels={{label: 'first' or 'second'}}"
     codes = {"first": 0.0, "second": 1.0, "none": np.nan}
     coded = {
-        _as_text(label): codes[_checks.one_of("choice_labels value", which, codes)]
+        _as_text(label): codes[checks.one_of("choice_labels value", which, codes)]
         for label, which in labels.items()
     }
     remedy = f"choice_labels knows {', '.join(map(repr, coded))}; 'none' is for no answer"

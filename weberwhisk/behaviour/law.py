@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
-from .._values import Array
-from ..threads import one_blas_thread
+from .._util.threads import one_blas_thread
+from .._util.values import Array
 from .axes import lapse_prior, score_prior
 from .estimates import Estimates, check_fit
 from .integrate import PosteriorGrid, integrate, refined

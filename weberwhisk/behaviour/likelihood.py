@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
-from .. import _checks
-from .._values import Array, Index
+from .._util import checks
+from .._util.values import Array, Index
 from .condensed import nodes_of
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
@@ -353,7 +353,7 @@ def build_model(
     if len(trials.subjects) > 1:
         raise ValueError(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
-            f"({_checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
+            f"({checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
             "one with "
             f"trials.select(subject={trials.subjects[0]!r})."
         )
@@ -361,7 +361,7 @@ def build_model(
     task = trials.task
     by_itself = "shared" if task.has_bias else "none"
     chosen = by_itself if bias is None else bias
-    _checks.one_of("bias", chosen, BIASES)
+    checks.one_of("bias", chosen, BIASES)
     if chosen != "none" and not task.has_bias:
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."

@@ -17,12 +17,12 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize_scalar
 
-from .. import _checks
-from .._values import Array, Index
-from ..contacts import locate
-from ..contacts.columns import FROM_SHAPE, read_contacts
-from ..contacts.files import load_table
+from .._util import checks
+from .._util.values import Array, Index
 from ..inference.observer import Observer
+from ..recordings import locate
+from ..recordings.columns import FROM_SHAPE, read_contacts
+from ..recordings.files import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (
     Encoding,
@@ -142,7 +142,7 @@ def with_distances(
     if not joined.any():
         raise ValueError(
             f"none of the {len(table)} located touches belongs to a trial of {trials.source}; the "
-            f"columns {_checks.listed(keys)} of both must have the same names."
+            f"columns {checks.listed(keys)} of both must have the same names."
         )
     which = place[joined], table["interval"].to_numpy(np.intp)[joined] - 1
     mean[which], sd[which] = table.loc[joined, "mean"], table.loc[joined, "sd"]
@@ -319,8 +319,8 @@ def simulate_moving(
     """
     check_trials(trials)
     for name, value in (("scatter", scatter), ("sd", sd)):
-        _checks.non_negative(name, value, "write 1e-3, say")
-    rng = _checks.generator(seed)
+        checks.non_negative(name, value, "write 1e-3, say")
+    rng = checks.generator(seed)
     frame = trials.frame
     nominal = frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
     true = nominal + offset + scatter * rng.standard_normal(nominal.shape)
@@ -390,7 +390,7 @@ def _located(distances: Any, keys: list[str], yes_no: bool, observer: Observer) 
     """A table of located touches: the one given, or its contacts located, a touch an interval."""
     if isinstance(distances, str | Path):
         distances = load_table(distances)[0]
-    _checks.kind("distances", distances, "a DataFrame or a path", "columns", _HINT)
+    checks.kind("distances", distances, "a DataFrame or a path", "columns", _HINT)
     if {_TOUCH[0], _ROW[0], _ROW[1]} & set(distances.columns):
         return distances
     raw = distances.copy()

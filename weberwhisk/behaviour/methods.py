@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from .. import __version__
-from .._values import counted
-from ..contacts import methods_of
+from .._util.values import counted
 from ..inference.coordinates import in_words
 from ..receptors import Weber
+from ..recordings.locate import methods_of
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates

@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Shown, interval_text
+from .._util import checks
+from .._util.output import plain
+from .._util.threads import one_blas_thread
+from .._util.values import Array, Shown, interval_text
 from ..inference.arviz_io import ArvizData, to_arviz
-from ..output import plain
-from ..threads import one_blas_thread
 from .estimates import tails
 from .fit import WeberFit, fit_weber
 from .hierarchy import Population, integrate_population
@@ -110,7 +110,7 @@ class PopulationFit(Shown):
         return pd.DataFrame(rows, pd.Index(self.parameters, name="parameter"), columns)
 
     def _nodes(self, parameter: str) -> tuple[Array, Array]:
-        _checks.one_of("parameter", parameter, self.parameters)
+        checks.one_of("parameter", parameter, self.parameters)
         if self.population is None:
             raise ValueError(f"there is no population to speak of: {self.status.value}.")
         return self.population.nodes(parameter)
@@ -246,7 +246,7 @@ def fit_population(
             f"the prior of spread must not reach below zero, got support from {low:g}; give for "
             "example scipy.stats.halfnorm(scale=0.5)."
         )
-    _checks.generator(seed)
+    checks.generator(seed)
     if "subject" not in trials.frame:
         raise ValueError(
             f"{trials.source}: there is no column 'subject' to tell subjects apart; map one with "

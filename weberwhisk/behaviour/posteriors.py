@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from .._values import Array
+from .._util.values import Array
 from .axes import bias_at, log_lapses_possible
 from .integrate import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
 from .likelihood import Draws, WeberModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from .._values import Array
+from .._util.values import Array
 from .likelihood import Draws, WeberModel
 from .trials import STIMULI
 

@@ -14,8 +14,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
 from .tasks import SameDifferent, Task, YesNo
@@ -80,13 +80,13 @@ class Priors:
     def __post_init__(self) -> None:
         if not isinstance(self.effects, Mapping):
             raise ValueError(
-                f"effects must be a mapping of names to priors, got {_checks.shown(self.effects)}; "
+                f"effects must be a mapping of names to priors, got {checks.shown(self.effects)}; "
                 "write effects={'drift': scipy.stats.norm(0, 1)}, say."
             )
         for name in (*PARAMETERS, *self.effects):
             prior = self.of(name)
             if self.is_fixed(name) and prior is not None and not isinstance(prior, type):
-                _checks.number(f"the prior of {name}", prior, DISTRIBUTION + ", or a number")
+                checks.number(f"the prior of {name}", prior, DISTRIBUTION + ", or a number")
             else:
                 check_distribution(name, prior)
         low, high = self.support("weber_fraction")
@@ -116,7 +116,7 @@ class Priors:
                 f"{lost[0]:g} and {lost[1]:g} at least; write 0.02 for each, say."
             )
         hint = "write 0 for lapses that know nothing of each other"
-        if not -1 < _checks.number("lapse_correlation", self.lapse_correlation, hint) < 1:
+        if not -1 < checks.number("lapse_correlation", self.lapse_correlation, hint) < 1:
             raise ValueError(
                 f"lapse_correlation must lie between -1 and 1, got {self.lapse_correlation:g}; "
                 "write 0 for lapses that know nothing of each other."
@@ -269,7 +269,7 @@ def check_distribution(name: str, prior: Any) -> None:
     if isinstance(prior, type) or not (hasattr(prior, "dist") and hasattr(prior.dist, "pdf")):
         raise ValueError(
             f"the prior of {name} must be a frozen continuous distribution, got "
-            f"{_checks.shown(prior)}; {DISTRIBUTION}."
+            f"{checks.shown(prior)}; {DISTRIBUTION}."
         )
 
 
@@ -354,15 +354,15 @@ def priors_for(
         return replace(priors, effects=own | dict(priors.effects)) if own else priors
     if priors is not None and not isinstance(priors, Mapping):
         raise ValueError(
-            f"priors must be Priors or a mapping, got {_checks.shown(priors)}; write "
+            f"priors must be Priors or a mapping, got {checks.shown(priors)}; write "
             "priors={'lapse_low': scipy.stats.beta(1, 9)}, say."
         )
     changes = {"bias" if name == "criterion" else name: p for name, p in dict(priors or {}).items()}
     for name in changes:
-        _checks.one_of("the prior's parameter", name, (*PARAMETERS, "lapse_correlation", *own))
+        checks.one_of("the prior's parameter", name, (*PARAMETERS, "lapse_correlation", *own))
     own |= {name: changes.pop(name) for name in own if name in changes}
     if isinstance(named := changes.get("weber_fraction"), str):
-        _checks.one_of("the belief about weber_fraction", named, ("levels",))
+        checks.one_of("the belief about weber_fraction", named, ("levels",))
         if "floor" in own:
             raise ValueError(
                 "a floor is fitted, and levels tell of all noise together; state a prior of "

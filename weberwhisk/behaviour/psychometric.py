@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from .effects import Effect, check_valued
 from .encodings import (
     Encoding,
@@ -67,18 +67,18 @@ def response_probability(
     """
     hint = "give one stimulus or several"
     s1, s2 = np.broadcast_arrays(
-        np.atleast_1d(_checks.finite("stimulus_1", stimulus_1, hint)),
-        np.atleast_1d(_checks.finite("stimulus_2", stimulus_2, hint)),
+        np.atleast_1d(checks.finite("stimulus_1", stimulus_1, hint)),
+        np.atleast_1d(checks.finite("stimulus_2", stimulus_2, hint)),
     )
     if standard is not None:
-        standard = _checks.finite("standard", standard, hint)
+        standard = checks.finite("standard", standard, hint)
     _check_observer(task, encoding, bias, effects)
-    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+    checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     refuse_outside(encoding, np.concatenate([s1, s2], axis=None))
     cells = unit_encodings(encoding, s1, s2, s1 if standard is None else standard, noise)
     up, down = _chance(task, cells, weber_fraction, bias, effects)
     lapses = [
-        _checks.non_negative(name, value, "write 0.02, say")[..., None]
+        checks.non_negative(name, value, "write 0.02, say")[..., None]
         for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high))
     ]
     if np.any(sum(lapses) > 1):
@@ -88,9 +88,9 @@ def response_probability(
 
 
 def _check_observer(task: Task, encoding: Encoding, bias: ArrayLike, effects: Any) -> None:
-    _checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
+    checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
     checked_encoding(encoding)
-    _checks.finite("bias", bias, "write for example 0")
+    checks.finite("bias", bias, "write for example 0")
     check_valued(effects)
 
 
@@ -117,7 +117,7 @@ def criterion(task: Task, proportion: float) -> str:
 def check_proportion(task: Task, proportion: float) -> float:
     """A proportion at which the task has a threshold."""
     low = task.guess_rate or 0.0
-    value = _checks.number("proportion", proportion, "write for example 0.75")
+    value = checks.number("proportion", proportion, "write for example 0.75")
     if not low < value < 1:
         raise ValueError(
             f"proportion must lie between {low:g} and 1 for {task.name}, got {value:g}; "
@@ -172,13 +172,13 @@ def threshold(
     """
     _check_observer(task, encoding, bias, effects)
     check_proportion(task, proportion)
-    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+    checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     values = [np.asarray(v, dtype=float) for _, v in effects]
     k, shift, *values = np.broadcast_arrays(
         np.asarray(weber_fraction, float), np.asarray(bias, float), *values
     )
     bound = [(effect, value) for (effect, _), value in zip(effects, values, strict=True)]
-    standard = _checks.number("standard", standard, "give one stimulus")
+    standard = checks.number("standard", standard, "give one stimulus")
     refuse_outside(encoding, standard)
 
     def above(comparison: Array) -> Array:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from .._values import Array, counted, paragraphs
+from .._util.output import plain
+from .._util.values import Array, counted, paragraphs
 from ..inference.arviz_io import ArvizData
 from ..inference.arviz_io import to_arviz as convert
-from ..output import plain
 from .criticism import checks
 from .estimates import Estimates
 from .likelihood import Draws

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 from scipy.stats import beta
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,
@@ -120,32 +120,32 @@ def simulate_trials(
     chosen = task_named(task)
     check_valued(effects)
     for effect, value in effects:
-        _checks.number(f"the value of {effect.name}", value, "write 0.2, say")
-    _checks.one_of("order", order, ORDERS)
+        checks.number(f"the value of {effect.name}", value, "write 0.2, say")
+    checks.one_of("order", order, ORDERS)
     if order == "random" and chosen.bias_name != "bias":
         raise ValueError(
             f"order={order!r} needs a task of two intervals, got task {task!r}; write task='2AFC', "
             "or leave order out."
         )
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
-        _checks.between(name, value, "write for example 0.02", ends="[)")
+        checks.between(name, value, "write for example 0.02", ends="[)")
     if lapse_low + lapse_high >= 1:
         raise ValueError(
             f"lapse_low + lapse_high must be below 1, got {lapse_low + lapse_high:g}; "
             "write for example 0.02 for each."
         )
-    trials_per_level = _checks.whole("trials_per_level", trials_per_level, "write 40, say")
-    sessions = _checks.whole("sessions", sessions, "write 10, say")
+    trials_per_level = checks.whole("trials_per_level", trials_per_level, "write 40, say")
+    sessions = checks.whole("sessions", sessions, "write 10, say")
     if subject is not None and not isinstance(subject, str | int):
-        raise ValueError(f"subject must be a name, got {_checks.shown(subject)}; write 'r1', say.")
+        raise ValueError(f"subject must be a name, got {checks.shown(subject)}; write 'r1', say.")
     encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
     log_unit = encoded.log_unit if isinstance(encoded, LogEncoding) else None
     scale = "linear" if log_unit is None else "log"
-    base = np.ravel(_checks.finite("standards", standards, "give one stimulus or several"))
+    base = np.ravel(checks.finite("standards", standards, "give one stimulus or several"))
     if not base.size:
         raise ValueError("standards is empty; write standards=1.0, say.")
     levels = _levels(base, offsets, comparisons, scale == "log")
-    shift = _checks.finite("bias", bias, "write for example 0")
+    shift = checks.finite("bias", bias, "write for example 0")
     if shift.shape not in ((), (1,), base.shape):
         raise ValueError(
             f"bias has shape {shift.shape} for standards of shape {base.shape}; give one number, "
@@ -157,7 +157,7 @@ def simulate_trials(
     refuse_outside(encoded, stimuli)
     refuse_unencoded(encoded, stimuli)
 
-    rng = _checks.generator(seed)
+    rng = checks.generator(seed)
     first, second = np.repeat(base, levels.shape[1]), levels.ravel()
     s0 = first
     if order == "random":  # the same pairs the other way round come after them
@@ -198,14 +198,14 @@ def _course(
     weber_fraction: ArrayLike, sessions: int, drift: float, bias_drift: float
 ) -> tuple[Array, Array]:
     """The Weber fraction of each session, and what is added to the bias; (sessions,) or (1,)."""
-    k = np.atleast_1d(_checks.positive("weber_fraction", weber_fraction, "write for example 0.1"))
+    k = np.atleast_1d(checks.positive("weber_fraction", weber_fraction, "write for example 0.1"))
     if k.shape not in ((1,), (sessions,)):
         raise ValueError(
             f"weber_fraction has shape {k.shape} for {sessions} sessions; give one number, or one "
             "a session."
         )
     for name, value in (("drift", drift), ("bias_drift", bias_drift)):
-        _checks.number(name, value, "write for example -0.5")
+        checks.number(name, value, "write for example -0.5")
         if value and sessions < 2:
             raise ValueError(
                 f"{name} goes from the first session to the last, got sessions={sessions}; "
@@ -223,7 +223,7 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
         raise ValueError("offsets and comparisons were both given; give one of them.")
     if comparisons is not None:
         hint = "give one level or several"
-        given = np.atleast_1d(_checks.finite("comparisons", comparisons, hint))
+        given = np.atleast_1d(checks.finite("comparisons", comparisons, hint))
         if not given.size or given.shape not in (given.shape[-1:], (base.size, given.shape[-1])):
             raise ValueError(
                 f"comparisons has shape {given.shape} for {base.size} standards; give one row of "
@@ -231,7 +231,7 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
             )
         return np.broadcast_to(given, (base.size, given.shape[-1]))
     offsets = SIGNED_OFFSETS if offsets is None else offsets
-    relative = np.atleast_1d(_checks.finite("offsets", offsets, "write for example 0.1"))
+    relative = np.atleast_1d(checks.finite("offsets", offsets, "write for example 0.1"))
     if relative.ndim > 1 or not relative.size:
         raise ValueError(
             f"offsets must be one row of numbers, got shape {relative.shape}; write "
@@ -356,14 +356,14 @@ def simulate_population(
     >>> trials.subjects, truth.columns.tolist()[:2]
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
-    rng = _checks.generator(seed)
-    subjects = _checks.whole("subjects", subjects, "write 6, say")
+    rng = checks.generator(seed)
+    subjects = checks.whole("subjects", subjects, "write 6, say")
     truth = draw_animals(
         subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
         lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
-    sessions = _checks.whole("sessions", sessions, "write 10, say")
-    _checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
+    sessions = checks.whole("sessions", sessions, "write 10, say")
+    checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
     parts = []
     for i, row in enumerate(truth.to_dict("records")):
@@ -386,14 +386,14 @@ def draw_animals(
     seed: int | np.random.SeedSequence | np.random.Generator,
 ) -> pd.DataFrame:
     """Animals drawn from one population: the truth of `simulate_population`, a row an animal."""
-    subjects = _checks.whole("subjects", subjects, "write 6, say")
-    _checks.positive_number("weber_fraction", weber_fraction, "write for example 0.1")
-    _checks.number("bias", bias, "write for example 0")
+    subjects = checks.whole("subjects", subjects, "write 6, say")
+    checks.positive_number("weber_fraction", weber_fraction, "write for example 0.1")
+    checks.number("bias", bias, "write for example 0")
     for name, value in (("spread", spread), ("bias_spread", bias_spread)):
-        _checks.non_negative_number(name, value, "write for example 0.02")
+        checks.non_negative_number(name, value, "write for example 0.02")
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high)):
-        _checks.between(name, value, "write for example 0.02", high=0.5, ends="[)")
-    rng = _checks.generator(seed)
+        checks.between(name, value, "write for example 0.02", high=0.5, ends="[)")
+    rng = checks.generator(seed)
     # Uniform numbers alone, as in `simulate_trials`.
     u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
     return pd.DataFrame(
@@ -437,7 +437,7 @@ def simulate_responses(
     is a column `session`. A share of trials, `missing`, gets no answer.
     """
     chosen = task_named(task)
-    share = _checks.non_negative_number("missing", missing, "write for example 0.02")
+    share = checks.non_negative_number("missing", missing, "write for example 0.02")
     if isinstance(table, pd.DataFrame):
         unit = 1e3 * getattr(encoding, "unit", 1.0)
         lengths = in_millimetres(table).items()
@@ -456,7 +456,7 @@ def simulate_responses(
     if unknown.any():
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
         raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
-    rng = _checks.generator(seed)
+    rng = checks.generator(seed)
     standard, s1, s2 = (table[name].to_numpy(float) for name in STIMULI)
     refuse_unencoded(encoding, np.concatenate([s1, s2, standard]))
     p = np.empty(len(table))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from .encodings import Signals
 
 __all__ = [
@@ -122,7 +122,7 @@ class PercentCorrect(Task):
     lapses: tuple[str, ...] = ("lapse_high",)
 
     def __post_init__(self) -> None:
-        _checks.whole("alternatives", self.alternatives, "write PercentCorrect(3), say", least=2)
+        checks.whole("alternatives", self.alternatives, "write PercentCorrect(3), say", least=2)
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -238,7 +238,7 @@ def task_named(name: str) -> Task:
     >>> task_named("2IFC").response
     'choice'
     """
-    return TASKS[_checks.one_of("task", name, TASKS)]
+    return TASKS[checks.one_of("task", name, TASKS)]
 
 
 def rises_on_both_sides(task: Task) -> bool:

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Flags, Index
-from ..output import atomic_write, csv_text
+from .._util import checks
+from .._util.output import atomic_write, csv_text
+from .._util.values import Array, Flags, Index
 from .tasks import Task
 
 SCALES = ("linear", "log")
@@ -96,12 +96,12 @@ class Trials:
 
     def __post_init__(self) -> None:
         hint = "make it with read_trials, which takes a table under any names"
-        _checks.kind("frame", self.frame, "a DataFrame", "columns", hint)
+        checks.kind("frame", self.frame, "a DataFrame", "columns", hint)
         lacking = [c for c in COLUMNS if c not in self.frame]
         if lacking:
             raise ValueError(f"frame has no column {', '.join(map(repr, lacking))}; {hint}.")
-        _checks.kind("task", self.task, "a Task", "decide", "write task_named('2AFC'), say")
-        _checks.one_of("scale", self.scale, SCALES)
+        checks.kind("task", self.task, "a Task", "decide", "write task_named('2AFC'), say")
+        checks.one_of("scale", self.scale, SCALES)
         n, count = (self.frame[c].to_numpy(float) for c in ("n", "count"))
         wrong = ~np.isfinite(n) | (n < 0) | (n != np.round(n)) | (count < 0) | (count > n)
         if wrong.any():
@@ -174,7 +174,7 @@ class Trials:
         """
         keep = np.ones(len(self.frame), dtype=bool)
         for column, value in wanted.items():
-            _checks.one_of("column", column, map(str, self.frame.columns))
+            checks.one_of("column", column, map(str, self.frame.columns))
             values = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
             keep &= self.frame[column].isin(list(values)).to_numpy()
         if not keep.any():
@@ -245,7 +245,7 @@ def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:
 def joined(parts: list[Trials]) -> Trials:
     """Tables of one task, scale and unit, one below the other."""
     if not isinstance(parts, list | tuple):
-        raise ValueError(f"parts must be a list of Trials, got {_checks.shown(parts)}.")
+        raise ValueError(f"parts must be a list of Trials, got {checks.shown(parts)}.")
     for part in parts:
         check_trials(part)
     if not parts:
@@ -276,7 +276,7 @@ def check_trials(trials: Any) -> None:
         made = f"read_trials({str(trials)!r})"
     elif isinstance(trials, pd.DataFrame):
         made = "read_trials(table)"
-    _checks.kind("trials", trials, "Trials", "cells", f"write {made}")
+    checks.kind("trials", trials, "Trials", "cells", f"write {made}")
 
 
 _COUNT_NAMES = {"choice": "greater", "correct": "correct"}

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from .._values import Array
-from ..threads import one_blas_thread
+from .._util.threads import one_blas_thread
+from .._util.values import Array
 from .integrate import integrate, refined
 from .likelihood import WeberModel
 from .posteriors import QuadraturePosterior, WeberPosterior

@@ -4,7 +4,7 @@ Conventions that every command keeps, beside those of `weberwhisk.cli`:
 
 - Lengths are in millimetres, radii in micrometres, angles in degrees, forces in micronewtons, and
   every option's and column's name says so. Lists are comma-separated, or the option is repeated.
-- ``--out`` names the folder for tables, figures and the record (see `weberwhisk.output`),
+- ``--out`` names the folder for tables, figures and the record (see `_util.output`),
   ``--json`` prints the result alone on standard output, ``--seed`` makes a draw repeatable.
 
 Here is what they share: their options, the whisker and the cue that these describe, and what is
@@ -27,12 +27,12 @@ import typer
 
 import weberwhisk as ww
 
-from .. import _checks
-from .._values import Array, pd
+from .._util import checks
+from .._util.output import Run, to_json
+from .._util.values import Array, pd
 from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
 from ..inference import default_noise
-from ..output import Run, to_json
 
 Text = str | None
 Texts = list[str] | None
@@ -217,7 +217,7 @@ def the_scene(
 ) -> tuple[ww.Observer, Array]:
     """The observer of any cue, and the deflection angles (rad) at which it is used."""
     if cue not in SCENES:
-        name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
+        name = None if cue is None else checks.one_of("cue", cue, (*CUES, *SCENES))
         made, angles = the_cue(name, angles_deg)
         k = weber_fractions(weber_fraction, len(made.signal_names))
         return ww.Observer(whisker, made, default_noise(whisker, made, k)), angles
@@ -236,11 +236,11 @@ def the_scene(
 
 def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
     """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
-    name = _checks.one_of("cue", cue or CUES[0], CUES)
+    name = checks.one_of("cue", cue or CUES[0], CUES)
     angles = numbers("--deflection-angle-deg", angles_deg or [])
     if name == "compliance":
         tap = one_angle(angles, "The compliance cue has one angle of tap") or 0.0
-        _checks.non_negative("--deflection-angle-deg", tap, "give degrees, 0 say")
+        checks.non_negative("--deflection-angle-deg", tap, "give degrees, 0 say")
         return ww.cues.Compliance(tap_angle=float(np.radians(tap))), np.array([])
     deflections = _angles(angles_deg)
     if name == "moment":
@@ -260,13 +260,13 @@ def one_angle(angles: Array, why: str = "Choices are made at one deflection angl
 def _angles(texts: Texts) -> Array:
     """Deflection angles in rad, ten degrees where none is given."""
     given = numbers("--deflection-angle-deg", texts or ["10"])
-    return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
+    return np.radians(checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
 
 
 def weber_fractions(texts: Texts, signals: int | None = None) -> Array | float:
     """Those of ``--weber-fraction``: one for all signals or one each."""
     fractions = numbers("--weber-fraction", texts or ["0.1"])
-    _checks.positive("--weber-fraction", fractions, "write 0.1, say")
+    checks.positive("--weber-fraction", fractions, "write 0.1, say")
     if signals is not None and fractions.size not in (1, signals):
         raise ValueError(
             f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
@@ -282,9 +282,9 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     curved: dict[str, Any] = {}
     if bow is not None and not (bow == "own" and identity is not None):
         hint = "give 1/m, such as -8" + (", or own" if identity is not None else "")
-        curved["curvature"] = float(_checks.finite("--curvature-per-m", bow, hint))
+        curved["curvature"] = float(checks.finite("--curvature-per-m", bow, hint))
     if youngs_modulus_gpa is not None:
-        _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
+        checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
         modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9
     names = [option(name) for name in Shape._fields[1:4]]
     given = [n for n, value in zip(names, shape[1:4], strict=True) if value is not None]
@@ -312,9 +312,9 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
             f"--seed draws a whisker of an --identity, got a shape and --seed {seed}; "
             "leave --seed out."
         )
-    _checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
-    _checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
-    _checks.non_negative("--tip-radius-um", tip_radius_um, "give micrometres, such as 5")
+    checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
+    checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
+    checks.non_negative("--tip-radius-um", tip_radius_um, "give micrometres, such as 5")
     made = ww.Whisker(length_mm * 1e-3, base_radius_um * 1e-6, tip_radius_um * 1e-6, **modulus)
     return replace(made, **curved) if curved else made
 

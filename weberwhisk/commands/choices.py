@@ -12,9 +12,10 @@ import numpy as np
 
 import weberwhisk as ww
 
-from .. import _checks
 from .. import commands as opt
-from .._values import Array
+from .._util import checks
+from .._util.output import Run, atomic_write, csv_text, to_json
+from .._util.values import Array
 from ..behaviour import CueEncoding, IdentityEncoding, task_named
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
@@ -24,7 +25,6 @@ from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase,
 from ..design.placement import RULES
 from ..design.session import Session, converse
 from ..inference import default_noise
-from ..output import Run, atomic_write, csv_text, to_json
 from ..receptors import GeneralisedWeber, LogNormal, ReceptorNoise, Saturating
 
 _Model = Callable[[float, Array, Array], ReceptorNoise]
@@ -89,7 +89,7 @@ def distance_encoding(
 def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:
     """The noise of forces that `--receptors` names."""
     name, _, given = text.partition("=")
-    _checks.one_of("--receptors", name, (*PLAIN, *RECEPTORS))
+    checks.one_of("--receptors", name, (*PLAIN, *RECEPTORS))
     if (name in PLAIN) == bool(given):
         raise ValueError(
             f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
@@ -98,7 +98,7 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
     usual = default_noise(observer.whisker, observer.cue, 0.1)
     if name in PLAIN:
         return usual if name == "weber" else LogNormal(0.1)
-    number = float(_checks.positive("--receptors", given, f"write {name}=0.5, say"))
+    number = float(checks.positive("--receptors", given, f"write {name}=0.5, say"))
     contact: list[Any] = [0.5 * observer.whisker.length]
     if "deflection_angle" in observer.unknowns:
         contact.append(angle)
@@ -165,7 +165,7 @@ def simulate(
             f"{'--standard' if standard else 'none'}; write --standard-mm 20, say."
         )
     base = numbers("--standard-mm" if encoding else "--standard", standard_mm or standard or ["1"])
-    _checks.positive("--standard-mm" if encoding else "--standard", base, "write 20, say")
+    checks.positive("--standard-mm" if encoding else "--standard", base, "write 20, say")
     levels = numbers("--offset", offset) if offset else None
     effects = [effect_valued(text) for text in effect or ()]
     truth: dict[str, Any] = {
@@ -296,7 +296,7 @@ def next_trials(
         raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
     at = numbers(name, texts)
     limits = Constraints(nearest, farthest, step)
-    _checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
+    checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
     bias = bias.replace("-", " ")
     unasked = bias == "per standard" and not task_named(task).has_bias
     how: dict[str, Any] = {"bias": "none" if unasked else bias, "task": task}

@@ -10,18 +10,18 @@ import numpy as np
 
 import weberwhisk as ww
 
-from .. import _checks
 from .. import commands as opt
-from .._values import counted, pd
+from .._util import checks
+from .._util.campaign import all_cores
+from .._util.output import Run, atomic_write, versions_in_words
+from .._util.values import counted, pd
 from ..behaviour.trials import STIMULI, rows_in_words
-from ..campaign import all_cores
 from ..cli import numbers
-from ..contacts.files import load_table
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.words import assumptions, offsets_in_words
 from ..figures.designs import fill
-from ..output import Run, atomic_write, versions_in_words
+from ..recordings.files import load_table
 
 if TYPE_CHECKING:
     from ..design import AnalysisResult
@@ -85,7 +85,7 @@ def design(
     inputs = opt.as_asked(locals())
     whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
     standards = numbers("--standard-mm", standard_mm or [])
-    _checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
+    checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
     levels = numbers("--level", level) if level else np.array(WIDE)
     encoded: dict[str, Any] = {}
     if cue is not None or deflection_angle_deg:
@@ -98,7 +98,7 @@ def design(
             whisker,
             goal=Goal(bayes_factor, half_width, share),
             standards=standards * 1e-3 if standards.size else None,
-            levels=_checks.finite("--level", levels, "write -1,1, say"),
+            levels=checks.finite("--level", levels, "write -1,1, say"),
             best=best,
             trials=trials,
             animals=animals,
@@ -131,8 +131,8 @@ def design(
 def _constraints(
     nearest_mm: float, farthest_mm: float | None, step_mm: float, easy_share: float
 ) -> Constraints:
-    _checks.non_negative("--nearest-mm", nearest_mm, "give millimetres, such as 5")
-    _checks.non_negative("--step-mm", step_mm, "give millimetres, such as 0.1, or 0")
+    checks.non_negative("--nearest-mm", nearest_mm, "give millimetres, such as 5")
+    checks.non_negative("--step-mm", step_mm, "give millimetres, such as 0.1, or 0")
     if farthest_mm is not None and not farthest_mm > nearest_mm:
         raise ValueError(
             f"--farthest-mm must lie beyond --nearest-mm, got {farthest_mm:g} and {nearest_mm:g}; "
@@ -298,7 +298,7 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     if unknown.any():
         raise ValueError(
             f"{str(file)!r}, column {found[0]!r}, {rows_in_words(places[unknown])}: "
-            f"{_checks.listed(given[unknown].unique())} is no answer that is known; write "
+            f"{checks.listed(given[unknown].unique())} is no answer that is known; write "
             f"{', '.join(code for code, second in codes.items() if not second)} where the first "
             f"was judged farther, {', '.join(code for code, second in codes.items() if second)} "
             "where the second, and nothing for no answer."

@@ -9,16 +9,16 @@ from typing import Annotated, Any
 
 import weberwhisk as ww
 
-from .. import _checks
 from .. import commands as opt
-from .._values import pd
+from .._util import checks
+from .._util.output import Run, atomic_write, to_json
+from .._util.values import pd
 from ..behaviour import CueEncoding, Encoding, FitStatus, with_distances
 from ..behaviour.effects import EFFECTS, Effect, effect_named
 from ..behaviour.trials import in_millimetres
 from ..cli import numbers
-from ..contacts.files import load_table
 from ..design import cues, noises, taper
-from ..output import Run, atomic_write, to_json
+from ..recordings.files import load_table
 from .choices import distance_encoding
 
 #: What the library says, and what that is called here.
@@ -129,7 +129,7 @@ def fit(
         trials = with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
     if prior is not None:
-        known = _checks.one_of("--prior", prior, ("levels",))
+        known = checks.one_of("--prior", prior, ("levels",))
         priors = {"weber_fraction": known} | (priors or {})
     if together:
         if effect or comparison or method:
@@ -169,7 +169,7 @@ def fit(
 
 def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[pd.DataFrame, str]:
     """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
-    _checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
+    checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":
         test = fit.weber_law_test()
         return test.by_standard, test.report()
@@ -290,7 +290,7 @@ def _selected(
     elif len(trials.subjects) > 1 and not together:
         raise ValueError(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
-            f"({_checks.listed(trials.subjects)}), and one is fitted at a time; write "
+            f"({checks.listed(trials.subjects)}), and one is fitted at a time; write "
             f"--subject {shlex.quote(str(trials.subjects[0]))}, or --together for all."
         )
     if session is not None:

@@ -10,13 +10,12 @@ import numpy as np
 
 import weberwhisk as ww
 
-from .. import _checks
-from .._values import pd
+from .._util.checks import positive
+from .._util.output import Run, atomic_write, to_json
+from .._util.values import pd
 from ..behaviour import load_rat_auditory
 from ..cli import progress
-from ..jnd import weber_propagation
-from ..jnd_curves import linear_surface
-from ..output import Run, atomic_write, to_json
+from ..sensitivity import linear_surface, weber_propagation
 from . import command, describe, enough_draws, finish, whisker_line
 from .whiskers import curve_in_steps
 
@@ -36,7 +35,7 @@ def quickstart(
 
     Takes under a minute, writes everything into one folder, and says in plain words what came out.
     """
-    _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
+    positive("--weber-fraction", weber_fraction, "write 0.1, say")
     enough_draws(draws)
     whisker = ww.Whisker.from_identity(identity)
     inputs = {"identity": identity, "weber_fraction": weber_fraction, "draws": draws}

@@ -10,11 +10,11 @@ import numpy as np
 
 import weberwhisk as ww
 
-from .. import _checks
 from .. import commands as opt
-from .._values import Array, pd
+from .._util import checks
+from .._util.output import Run
+from .._util.values import Array, pd
 from ..cli import a_seed, numbers, progress
-from ..output import Run
 
 #: Column of `bend`'s table: attribute of `Bending`, and its unit in SI.
 _BENDING_COLUMNS = {
@@ -68,8 +68,8 @@ def bend(
     where, much = (
         numbers(opt.option(n), texts or []) for n, texts in zip(names, pairs[names], strict=True)
     )
-    _checks.positive(opt.option(names[0]), where, "give millimetres, such as 35")
-    _checks.finite(opt.option(names[1]), much, "give a number, such as 20")
+    checks.positive(opt.option(names[0]), where, "give millimetres, such as 35")
+    checks.finite(opt.option(names[1]), much, "give a number, such as 20")
     where, much = (grid.ravel() for grid in np.meshgrid(where, much, indexing="ij"))
     units = [_BENDING_COLUMNS[name][1] for name in names]
     with Run(out, "bend", options, seed) as run:
@@ -148,7 +148,7 @@ def jnd(
     observer, angles = opt.the_scene(cue, deflection_angle_deg, weber_fraction, whisker)
     if radial_distance_mm:
         asked = numbers("--radial-distance-mm", radial_distance_mm)
-        _checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
+        checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
     else:
         asked = np.asarray(np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6))
     opt.enough_draws(draws)

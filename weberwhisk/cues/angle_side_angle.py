@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative_number, positive, positive_number
-from .._values import Array, Codes
+from .._util.checks import finite, non_negative_number, positive, positive_number
+from .._util.values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker

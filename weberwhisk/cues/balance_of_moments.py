@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import number, positive, positive_number, shown
-from .._values import Array, Codes, Flags
+from .._util.checks import number, positive, positive_number, shown
+from .._util.values import Array, Codes, Flags
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of

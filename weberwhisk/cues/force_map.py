@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from .._checks import number, numbers, one_or_more, positive_number, refuse_hinge
-from .._values import Array, Codes
+from .._util.checks import number, numbers, one_or_more, positive_number, refuse_hinge
+from .._util.values import Array, Codes
 from ..mechanics import Profile, closed_form, rest_angle
 from ..mechanics.contact import Outcome
 from ..mechanics.curved_surface import SIX

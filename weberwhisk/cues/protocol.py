@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.optimize import brentq
 
-from .._checks import numbers, refuse_hinge, shown
-from .._values import Array, Codes, Value
+from .._util.checks import numbers, refuse_hinge, shown
+from .._util.values import Array, Codes, Value
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
@@ -219,7 +219,7 @@ class Fused(Cue):
     --------
     >>> from weberwhisk import Observer, Whisker
     >>> from weberwhisk.cues import Compliance, ForceMap
-    >>> from weberwhisk.jnd import fisher_jnd
+    >>> from weberwhisk.sensitivity import fisher_jnd
     >>> both = Fused(Compliance(), ForceMap())
     >>> both.signal_names, both.unknowns
     (('moment_rate', 'moment', 'axial_force'), ('radial_distance', 'deflection_angle'))

@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from .._checks import non_negative_number, positive_number, whole
-from .._values import Array
+from .._util.checks import non_negative_number, positive_number, whole
+from .._util.values import Array
 from ..mechanics import closed_form, modes
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy
 
-from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
-from .._values import Array, Flags
+from .._util.checks import number, one_or_more, positive_number, refuse_hinge, shown
+from .._util.values import Array, Flags
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from .._checks import finite, non_negative_number, positive, positive_number, whole
-from .._values import Array, Codes
+from .._util.checks import finite, non_negative_number, positive, positive_number, whole
+from .._util.values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker

@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.threads import one_blas_thread
+from .._util.values import Array
 from ..behaviour.axes import bias_at, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
 from ..behaviour.integrate.batch import batch_steps, zoomed
@@ -31,7 +32,6 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY, lapse_transform
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
-from ..threads import one_blas_thread
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
 from .scheme import Scheme, millimetres
 
@@ -414,8 +414,8 @@ def information(
     """
     given = check_distinct(hypotheses)
     check_metres(given)
-    at = np.ravel(_checks.finite("standards", standards, "give distances in m"))
-    rows = np.atleast_2d(_checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
+    at = np.ravel(checks.finite("standards", standards, "give distances in m"))
+    rows = np.atleast_2d(checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
     if len(rows) not in (1, at.size):
         raise ValueError(
             f"offsets has {len(rows)} rows for {at.size} standards; give one for all, or one each."

@@ -19,14 +19,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array, Flags, Index
+from .._util import checks
+from .._util.threads import one_blas_thread
+from .._util.values import Array, Flags, Index
 from ..behaviour.axes import lapse_prior, score_prior
 from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import log_sum
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
-from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Constraints, Scheme, easy_share
@@ -97,7 +97,7 @@ def best_scheme(
     given, aim = check_goal(hypotheses, goal)
     limits, likely = constraints or Constraints(), expected or SubjectPopulation()
     for name, number in (("standards", standards), ("pairs", pairs), ("trials", trials)):
-        _checks.whole(name, number, "write 3")
+        checks.whole(name, number, "write 3")
     each = trials // (2 * pairs * standards)
     if each < 1:
         raise ValueError(

@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks, campaign
-from .._values import Shown, counted, interval_text
+from .._util import campaign, checks
+from .._util.values import Shown, counted, interval_text
 from ..behaviour.encodings import CueEncoding
 from ..behaviour.simulate import simulate_responses
 from ..behaviour.verdict import FitStatus
@@ -141,7 +141,7 @@ def plan_experiment(
     ):  # fmt: skip
         if not isinstance(value, kind):
             raise ValueError(
-                f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
+                f"{name} must be {kind.__name__}, got {checks.shown(value)}; leave it out, say."
             )
     if scheme is not None and (trials, standards) != (None, None):
         raise ValueError("A scheme has its standards and trials; leave standards and trials out.")
@@ -202,7 +202,7 @@ def _what_to_find(find: str | None, decided: bool) -> str:
     """What is made small, where the trials are decided or not."""
     if find is None:
         return "nothing" if decided else "trials"
-    _checks.one_of("find", find, ("trials", "animals", "nothing"))
+    checks.one_of("find", find, ("trials", "animals", "nothing"))
     if find == "animals" and not decided:
         raise ValueError(
             "The number of animals is found for so many trials each, got none; write trials=20, "
@@ -379,7 +379,7 @@ def simulate_study(
     >>> simulate_study(plan, 2, seed=1).table["truth"].tolist()
     ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
-    _checks.whole("runs", runs, "write 100")
+    checks.whole("runs", runs, "write 100")
     text = json.dumps(json.loads(plan_json(plan)))
     chunks = [
         {"plan": text, "truth": hypothesis.name, "run": run}

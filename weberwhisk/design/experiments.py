@@ -19,13 +19,13 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
-from .._values import Array
+from .._util.threads import one_blas_thread
+from .._util.values import Array
 from ..behaviour.axes import score_prior
 from ..behaviour.hierarchy import log_product, normal_weights
 from ..behaviour.integrate.batch import log_sum, marginal
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import SPREAD, Priors
-from ..threads import one_blas_thread
 from .hypotheses import Hypothesis, SubjectPopulation
 from .plan_file import decode
 from .scheme import Scheme

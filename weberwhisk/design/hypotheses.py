@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..behaviour.encodings import (
     ConstantNoise,
     CueEncoding,
@@ -69,8 +69,8 @@ class Hypothesis:
 
     def __post_init__(self) -> None:
         checked_encoding(self.encoding)
-        _checks.kind("priors", self.priors, "Priors", "moments", "give Priors(...), or leave it")
-        _checks.one_of("bias", self.bias, BIASES)
+        checks.kind("priors", self.priors, "Priors", "moments", "give Priors(...), or leave it")
+        checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
             raise ValueError(
                 f"{self.task} has no response bias to fit, got bias={self.bias!r}; write "
@@ -216,7 +216,7 @@ def cues(
 
 def _check_whisker(whisker: Whisker) -> None:
     hint = "write Whisker.from_identity('C2'), say"
-    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
+    checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
 
 
 def noises(
@@ -241,7 +241,7 @@ def noises(
     2.0
     """
     checked_encoding(encoding)
-    at = np.atleast_1d(_checks.finite("standards", standards, "give two distances or more"))
+    at = np.atleast_1d(checks.finite("standards", standards, "give two distances or more"))
     refuse_out_of_reach(encoding, at, "standard")
     sd = encoding.sd_per_weber_fraction(at)
     if sd.size < 2:
@@ -260,9 +260,9 @@ def noises(
 
 def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Hypotheses that can be compared: names differ, and the task is one."""
-    given = tuple(_checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
+    given = tuple(checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
     for h in given:
-        _checks.kind("a hypothesis", h, "a Hypothesis", "encoding", "write taper(whisker), say")
+        checks.kind("a hypothesis", h, "a Hypothesis", "encoding", "write taper(whisker), say")
     names = [h.name for h in given]
     if not given:
         raise ValueError("a design needs a hypothesis, got none; write taper(whisker), say.")
@@ -319,10 +319,10 @@ class SubjectPopulation:
     lapses_vary: bool = True
 
     def __post_init__(self) -> None:
-        _checks.positive_number("weber_fraction", self.weber_fraction, "write for example 0.1")
+        checks.positive_number("weber_fraction", self.weber_fraction, "write for example 0.1")
         for name in ("spread", "bias_spread"):
-            _checks.non_negative_number(name, getattr(self, name), "write for example 0.03")
-        _checks.between("lapse", self.lapse, "write for example 0.03", high=0.5, ends="[)")
+            checks.non_negative_number(name, getattr(self, name), "write for example 0.03")
+        checks.between("lapse", self.lapse, "write for example 0.03", high=0.5, ends="[)")
 
     def draw(self, number: int, seed: np.random.SeedSequence | int) -> pd.DataFrame:
         """So many of them, a row each: the truth that `simulate_responses` takes."""
@@ -368,10 +368,10 @@ class Goal:
                 "A goal is a Bayes factor or the width of an interval, got "
                 f"{'both' if self.bayes_factor else 'neither'}; write one of them."
             )
-        _checks.between("share", self.share, "write 0.8, say")
+        checks.between("share", self.share, "write 0.8, say")
         if self.half_width is not None:
-            _checks.between("half_width", self.half_width, "write 0.2")
-        elif not _checks.number("bayes_factor", self.bayes_factor or 0.0, "write 10, say") > 1:
+            checks.between("half_width", self.half_width, "write 0.2")
+        elif not checks.number("bayes_factor", self.bayes_factor or 0.0, "write 10, say") > 1:
             raise ValueError(
                 f"bayes_factor must be above 1, got {self.bayes_factor:g}; write 10, say."
             )
@@ -392,7 +392,7 @@ def check_goal(
     """
     given = check_distinct(hypotheses)
     aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
-    _checks.kind("goal", aim, "a Goal", "share", "write Goal(half_width=0.2), say")
+    checks.kind("goal", aim, "a Goal", "share", "write Goal(half_width=0.2), say")
     if aim.bayes_factor is None:
         refuse_given_k(given, f"the goal is {aim}")
     elif len(given) < 2:

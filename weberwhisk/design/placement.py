@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, softmax
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..behaviour.encodings import LogEncoding
 from ..behaviour.estimates import tails
 from ..behaviour.fit import WeberFit, fit_weber
@@ -80,7 +80,7 @@ class TrialLog:
 
     def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme, seed: int = 0) -> None:
         self.hypotheses = check_distinct(hypotheses)
-        _checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
+        checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
         self.scheme, self.seed = scheme, seed
         self._rows: list[tuple[float, float, float, float]] = []
         self._proposal: Proposal | None = None
@@ -126,8 +126,8 @@ class TrialLog:
         """What was shown, with the scheme's standard nearest to the nominal one; refuses what
         `record` would."""
         for name, value in (("standard", standard), ("comparison", comparison)):
-            _checks.number(name, value, "give what was shown")
-        about = standard if nominal is None else _checks.number("nominal", nominal, "give 1, say")
+            checks.number(name, value, "give what was shown")
+        about = standard if nominal is None else checks.number("nominal", nominal, "give 1, say")
         near = min(self.scheme.standards, key=lambda s: abs(s - about))
         pair = float(standard), float(comparison), near
         self._encode(pair)
@@ -192,7 +192,7 @@ class TrialLog:
 
 def _limit(name: str, value: int | None) -> int | None:
     if value is not None:
-        _checks.positive(name, value, "write 400, say")
+        checks.positive(name, value, "write 400, say")
     return value
 
 
@@ -257,14 +257,14 @@ class BayesianPlacer(TrialLog):
     ) -> None:
         several = [hypotheses] if isinstance(hypotheses, Hypothesis) else hypotheses
         super().__init__(several, scheme, seed)
-        self.goal = _checks.one_of("goal", goal, GOALS)
+        self.goal = checks.one_of("goal", goal, GOALS)
         if goal == "hypothesis" and len(self.hypotheses) < 2:
             raise ValueError(
                 "one hypothesis cannot be distinguished from others; write taper(whisker), say."
             )
-        _checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
+        checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
         if width is not None:
-            _checks.positive_number("width", width, "write 0.2 for an interval of ±20 %")
+            checks.positive_number("width", width, "write 0.2 for an interval of ±20 %")
             refuse_given_k(self.hypotheses, f"trials end at an interval of k of width={width:g}")
         self.easy_share, self.width, self.most = easy_share, width, _limit("most", most)
         self._cells = scheme.cells()
@@ -396,7 +396,7 @@ class Staircase(TrialLog):
         seed: int = 0,
     ) -> None:
         super().__init__([hypothesis], scheme, seed)
-        self.rule = _checks.one_of("rule", rule, RULES)
+        self.rule = checks.one_of("rule", rule, RULES)
         self.turns, self.most = _limit("turns", turns), _limit("most", most)
         self._sides: dict[float, tuple[Array, Array]] = {}
         for s, row in zip(scheme.standards, scheme.comparisons, strict=True):

@@ -16,14 +16,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binom
 
-from .. import _checks
-from .._values import Array, Shown, counted
+from .._util import checks
+from .._util.output import csv_text
+from .._util.values import Array, Shown, counted
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
-from ..jnd import criterion_factor
-from ..output import csv_text
+from ..sensitivity import criterion_factor
 from .hypotheses import (
     ONE_STIMULUS,
     Goal,
@@ -66,7 +66,7 @@ class AnalysisResult:
 
         Infinite where there is no other.
         """
-        _checks.one_of("hypothesis", hypothesis, self.log_evidence)
+        checks.one_of("hypothesis", hypothesis, self.log_evidence)
         others = [v for name, v in self.log_evidence.items() if name != hypothesis]
         return self.log_evidence[hypothesis] - max(others, default=-np.inf)
 
@@ -118,7 +118,7 @@ def analyse(
     >>> analyse(trials, [tapered, cylindrical]).favoured(10)
     'tapered'
     """
-    _checks.kind("trials", trials, "Trials", "frame", "write read_trials(file), say")
+    checks.kind("trials", trials, "Trials", "frame", "write read_trials(file), say")
     if unit != 1.0:
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)
@@ -225,12 +225,12 @@ class Plan(Shown):
         ):  # fmt: skip
             if not isinstance(getattr(self, name), kind):
                 raise ValueError(
-                    f"{name} must be a {kind.__name__}, got {_checks.shown(getattr(self, name))}; "
+                    f"{name} must be a {kind.__name__}, got {checks.shown(getattr(self, name))}; "
                     "make one first."
                 )
         for name in ("trials_per_session", "longest_run", "seed"):
             least = {"longest_run": 2, "seed": 0}.get(name, 1)
-            whole = _checks.whole(name, getattr(self, name), "write 300, say", least=least)
+            whole = checks.whole(name, getattr(self, name), "write 300, say", least=least)
             object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
         check_task(first.task)

@@ -14,8 +14,9 @@ import pandas as pd
 from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
-from .. import __version__, _checks
-from ..array import WhiskerArray
+from .. import __version__
+from .._util import checks
+from ..array import ArrayObserver, WhiskerArray
 from ..behaviour.encodings import (
     ConstantNoise,
     CueEncoding,
@@ -39,7 +40,6 @@ from ..cues import (
 )
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
-from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
@@ -161,7 +161,7 @@ def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any
     for name, kind in kinds.items():
         if not any(_is(parts[name], one) for one in KINDS.get(kind, kind).split("|")):
             wanted = kind.replace("|", " or ")
-            raise ValueError(f"{name} of {what} must be {wanted}, got {_checks.shown(parts[name])}")
+            raise ValueError(f"{name} of {what} must be {wanted}, got {checks.shown(parts[name])}")
     return {
         name: _floats(parts[name]) if kind.startswith("limit") else parts[name]
         for name, kind in kinds.items()
@@ -245,7 +245,7 @@ def plan_json(plan: Plan) -> str:
     ValueError
         For a plan whose hypotheses have no such form: a cue of one's own, say.
     """
-    _checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
+    checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
     own = {f.name: getattr(plan, f.name) for f in fields(plan)}
     power = own.pop("power")
     record = {
@@ -284,7 +284,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     True
     """
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(f"path must name a file, got {_checks.shown(path)}; write plan.json.")
+        raise ValueError(f"path must name a file, got {checks.shown(path)}; write plan.json.")
     return plan_of(Path(path).read_bytes(), os.fspath(path))
 
 

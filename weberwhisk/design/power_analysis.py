@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
 from scipy.stats import norm
 
-from .. import _checks, campaign
-from .._values import Array, Shown, interval_text
+from .._util import campaign, checks
+from .._util.values import Array, Shown, interval_text
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .plan_file import encode
@@ -171,23 +171,23 @@ def power(
     True
     """
     given, aim = check_goal(hypotheses, goal)
-    _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
     likely = SubjectPopulation() if expected is None else expected
-    _checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
+    checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
     sizes: list[list[Any]] = []
     for name, given_sizes, own in (
         ("trials", trials, max(map(max, scheme.trials))),
         ("animals", animals, scheme.animals),
         ("lapses", lapses, likely.lapse),
     ):
-        some = [own] if given_sizes is None else _checks.several(name, given_sizes, "write [20]")
-        sizes.append([_checks.number(name, size, "write 20, say") for size in some])
+        some = [own] if given_sizes is None else checks.several(name, given_sizes, "write [20]")
+        sizes.append([checks.number(name, size, "write 20, say") for size in some])
     named: list[Any] = [h.name for h in given]
     if truths is not None:
-        named = _checks.several("truths", truths, f"write {named}, say")
+        named = checks.several("truths", truths, f"write {named}, say")
     for name in named:
-        _checks.one_of("truth", name, [h.name for h in given])
-    _checks.whole("runs", runs, "write 1000")
+        checks.one_of("truth", name, [h.name for h in given])
+    checks.whole("runs", runs, "write 1000")
     chunks = [
         chunk
         for truth, n, number, lapse in product(named, *sizes)
@@ -250,9 +250,9 @@ def smallest(
     >>> 5 < found.size < 40
     True
     """
-    _checks.one_of("vary", vary, MOST)
+    checks.one_of("vary", vary, MOST)
     given, aim = check_goal(hypotheses, goal)
-    end = MOST[vary] if most is None else _checks.whole("most", most, "write 100, say")
+    end = MOST[vary] if most is None else checks.whole("most", most, "write 100, say")
     visited: dict[int, Power] = {}
 
     def visit(own: Scheme, runs: int, *seeds: int) -> Power:
@@ -391,7 +391,7 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     if vary == "animals":
         return scheme.with_animals(size)
     most = max(map(max, scheme.trials))
-    _checks.whole("trials", size, "write 20")
+    checks.whole("trials", size, "write 20")
     counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
     return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
 

@@ -12,8 +12,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..behaviour.encodings import (
     Encoding,
     checked_encoding,
@@ -82,7 +82,7 @@ class Scheme:
         at = _standards(standards)
         if np.unique(at).size < at.size:
             raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
-        _checks.whole("animals", animals, "write 20")
+        checks.whole("animals", animals, "write 20")
         rows = _rows("offsets", offsets, at.size)
         one = np.isscalar(trials) or not isinstance(trials, Iterable)
         counts = [[trials] * len(row) for row in rows] if one else None
@@ -97,9 +97,9 @@ class Scheme:
                 )
             if len(set(row)) < len(row):
                 raise ValueError(f"standard {at[i]:g} has an offset twice, in {row}; give it once.")
-            _checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
+            checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
-                _checks.whole("trials of a level", count, "write 20")
+                checks.whole("trials of a level", count, "write 20")
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
@@ -151,12 +151,12 @@ class Scheme:
         """
         checked_encoding(encoding)
         at = _standards(standards)
-        _checks.non_negative("step", _checks.number("step", step, "write 0"), "write 0, or 1e-5")
-        _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+        checks.non_negative("step", checks.number("step", step, "write 0"), "write 0, or 1e-5")
+        checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
         at = np.unique(_snapped(at, step))
         refuse_out_of_reach(encoding, at, "standard")
         sd = weber_fraction * difference_sd(encoding, at)
-        z = np.ravel(_checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
+        z = np.ravel(checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
         rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
         rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
         for s, one, row in zip(at, sd, rows, strict=True):
@@ -249,19 +249,19 @@ class Constraints:
     easy_proportion: float = 0.95
 
     def __post_init__(self) -> None:
-        _checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
-        _checks.non_negative_number("step", self.step, "give m, such as 0.1e-3, or 0")
+        checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
+        checks.non_negative_number("step", self.step, "give m, such as 0.1e-3, or 0")
         if not isinstance(self.farthest, float | int | np.number):
             raise ValueError(
-                f"farthest must be a number, got {_checks.shown(self.farthest)}; give m, or inf."
+                f"farthest must be a number, got {checks.shown(self.farthest)}; give m, or inf."
             )
         if not self.nearest < self.farthest:
             raise ValueError(
                 f"farthest must lie beyond nearest, got {self.farthest:g} and {self.nearest:g}, "
                 f"{self.nearest - self.farthest:g} short; exchange them, say."
             )
-        _checks.between("easy_share", self.easy_share, "write 0.2, say", ends="[]")
-        _checks.between("easy_proportion", self.easy_proportion, "write 0.95, say", low=0.5)
+        checks.between("easy_share", self.easy_share, "write 0.2, say", ends="[]")
+        checks.between("easy_proportion", self.easy_proportion, "write 0.95, say", low=0.5)
 
     def positions(self, distance: ArrayLike) -> Array:
         """Distances moved to the nearest position that the pole has."""
@@ -364,7 +364,7 @@ def lattice(
     # A range of distances begins at 0; other stimuli, such as logarithms, need not.
     limits = constraints or Constraints(farthest=high)
     nearest = limits.nearest if constraints else -np.inf
-    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
+    given = np.atleast_1d(checks.finite("standards", standards, "give one or several"))
     at = np.unique(limits.positions(given))
     refuse_out_of_reach(encoding, at, "standard")
     ratios = np.geomspace(smallest, largest, each_side)
@@ -406,7 +406,7 @@ def easy_share(
 
 
 def _standards(standards: ArrayLike) -> Array:
-    at = np.ravel(_checks.finite("standards", standards, "give one distance in m, or several"))
+    at = np.ravel(checks.finite("standards", standards, "give one distance in m, or several"))
     if not at.size:
         raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
     return at
@@ -419,7 +419,7 @@ def _snapped(distance: ArrayLike, step: float) -> Array:
 
 def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
     """One row a standard: as given, or the same for all."""
-    given = _checks.several(name, values, "write for example [-2e-3, 2e-3]")
+    given = checks.several(name, values, "write for example [-2e-3, 2e-3]")
     if given and all(np.ndim(v) == 0 for v in given):
         return [list(given) for _ in range(count)]
     if len(given) != count or any(np.ndim(v) != 1 for v in given):

@@ -29,10 +29,10 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from .. import _checks
-from .._values import Array, Index
+from .._util import checks
+from .._util.log import Log
+from .._util.values import Array, Index
 from ..behaviour.trials import Cells
-from ..campaign.log import Log
 from .placement import BayesianPlacer, Placer, Proposal
 from .scheme import Scheme, millimetres
 
@@ -82,11 +82,11 @@ def trial_lists(
     >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
     [10]
     """
-    _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
-    _checks.whole("trials_per_session", trials_per_session, "write 300, say")
+    checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    checks.whole("trials_per_session", trials_per_session, "write 300, say")
     if not isinstance(seed, np.random.SeedSequence):
-        _checks.whole("seed", seed, "write 1, say", least=0)
-    _checks.whole("longest_run", longest_run, "write 5, say", least=2)
+        checks.whole("seed", seed, "write 1, say", least=0)
+    checks.whole("longest_run", longest_run, "write 5, say", least=2)
     levels = scheme.cells()
     alike = levels.standard == levels.stimulus_2
     if alike.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .. import __version__
-from .._values import counted, paragraphs
+from .._util.values import counted, paragraphs
 from ..behaviour.encodings import ConstantNoise, described
 from .hypotheses import ONE_STIMULUS, Hypothesis
 from .plan import Plan

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .._checks import one_of, shown
-from .._values import Array, pd
-from ..jnd_curves import JNDCurve
+from .._util.checks import one_of, shown
+from .._util.values import Array, pd
+from ..sensitivity import JNDCurve
 from .style import (
     COLOURS,
     DOUBLE,
@@ -309,7 +309,7 @@ def jnd_surface(
         Columns ``radial_distance_mm``, ``deflection_angle_deg`` and ``jnd_mm``: for every distance
         equally many angles, the last of them where the whisker flicks past. If there are
         ``contact_angle_deg`` and ``signed_jnd_mm``, which changes sign at a false zero, the contact
-        angle of 90° and the false zero are drawn. From `jnd_curves.linear_surface`, say.
+        angle of 90° and the false zero are drawn. From `sensitivity.linear_surface`, say.
     ax : Axes, optional
     length, weber_fraction : float
         m. The JND is shown as a fraction of their product, the distance as one of the length.

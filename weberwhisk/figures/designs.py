@@ -17,12 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .. import _checks
-from .._values import pd
+from .._util import checks
+from .._util.output import Run, atomic_write, csv_text
+from .._util.values import pd
 from ..design.plan_file import plan_json
 from ..design.session import bpod_table, psychopy_tables
 from ..design.words import assumptions, offsets_in_words, preregistration
-from ..output import Run, atomic_write, csv_text
 from .style import (
     COLOURS,
     DOUBLE,
@@ -400,7 +400,7 @@ def write_plan(
     Raises
     ------
     ValueError
-        As `weberwhisk.output.Run`: where the folder cannot be written or holds files of others.
+        As `Run`: where the folder cannot be written or holds files of others.
 
     Examples
     --------
@@ -411,7 +411,7 @@ def write_plan(
     ...     sorted(path.name for path in write_plan(plan, folder).glob("p*.csv"))
     ['planned_jnds.csv', 'planned_levels.csv', 'psychopy_s1_001.csv']
     """
-    _checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
+    checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
     with Run(out, "design", dict(inputs or {}), plan.seed) as run:
         fill(run, plan)
     assert run.out_dir is not None

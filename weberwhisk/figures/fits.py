@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from .._values import Array, pd
+from .._util.values import Array, pd
 from .style import (
     COLOURS,
     DOUBLE,

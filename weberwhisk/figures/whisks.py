@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from .style import COLOURS, DOUBLE, LINES, SINGLE, axes_or_new, legend_above, styled
 
 if TYPE_CHECKING:
-    from ..array import Follicle, WhiskerArray
-    from ..places import Place
+    from ..array import Follicle, Place, WhiskerArray
 
 
 @styled

@@ -1,5 +1,6 @@
 """From readings to contacts: the observer, and the posterior of what it does not know."""
 
+from . import sweeping as sweeping
 from .methods import Estimate, Posterior, Status, posterior
 from .observer import Observer, default_noise
 from .touches import Touches, touches

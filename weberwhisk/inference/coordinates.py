@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
-from .._checks import one_of, shown
-from .._values import Array
+from .._util.checks import one_of, shown
+from .._util.values import Array
 from ..cues.protocol import Cue
 from ..mechanics.forward import forward_of
 from ..whisker import Whisker

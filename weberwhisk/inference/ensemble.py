@@ -16,7 +16,7 @@ import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._values import Array, Flags
+from .._util.values import Array, Flags
 from ..receptors import Seed
 from .arviz_io import mcse, rhat
 from .result import checked_density

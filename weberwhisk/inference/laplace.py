@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, ndtri
 
-from .._checks import finite
-from .._values import Array, Flags
+from .._util.checks import finite
+from .._util.values import Array, Flags
 from ..mechanics.contact import Outcome
 from ..receptors import Seed
 from .coordinates import FARTHEST

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
-from .._values import Array, Flags, Index
+from .._util.values import Array, Flags, Index
 from .coordinates import from_normal, is_all_around
 from .observer import Evaluated, Observer, evaluated
 from .tree import DROP, tree_of

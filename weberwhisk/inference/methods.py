@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._checks import kind, one_of, positive_number
-from .._values import Array, Flags, member
+from .._util.checks import kind, one_of, positive_number
+from .._util.values import Array, Flags, member
 from ..receptors import Seed
 from .coordinates import is_all_around
 from .laplace import laplace

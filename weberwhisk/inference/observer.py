@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, numbers, one_of, positive, positive_number, shown
-from .._values import Array, Codes
+from .._util.checks import finite, numbers, one_of, positive, positive_number, shown
+from .._util.values import Array, Codes
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome

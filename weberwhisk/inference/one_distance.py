@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.special import logsumexp, ndtr
 
-from .._values import Array, Index
+from .._util.values import Array, Index
 from .coordinates import constrain_distance, from_normal, leaps
 from .layers import HALVINGS, Axis, Layers
 from .observer import Observer

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .._values import Array, Index
+from .._util.values import Array, Index
 from ..receptors import Seed
 from .laplace import find_mode
 from .layers import LayeredSums, Layers

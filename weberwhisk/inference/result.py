@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import domain
-from .._checks import finite
-from .._values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
+from .._util.checks import finite
+from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
 from .arviz_io import ArvizData

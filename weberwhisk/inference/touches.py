@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from .. import _checks
-from .._checks import kind
-from .._values import Array, Index, interval_text
+from .._util import checks
+from .._util.checks import kind
+from .._util.values import Array, Index, interval_text
 from .observer import Observer
 from .one_distance import OneDistance, ReadingGroup, one_distance, quantiles_of, shared_unknowns
 from .quadrature import TOLERANCE
@@ -68,7 +68,7 @@ class Touches:
         ValueError
             For a mass outside 0 to 1.
         """
-        tail = (1 - _checks.mass(mass)) / 2
+        tail = (1 - checks.mass(mass)) / 2
         low, high = quantiles_of(np.array([tail, 1 - tail]), self.r, self.density)
         return float(low), float(high)
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .._values import Array, Flags, Index
+from .._util.values import Array, Flags, Index
 from ..receptors import ReceptorNoise
 from .observer import Evaluated
 from .weighted import Leaves, Sums

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._values import Array, Flags, Index
+from .._util.values import Array, Flags, Index
 
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
 #: The share of an sd by which a Gaussian's quantiles are so off is 1e-4 and 4e-4.

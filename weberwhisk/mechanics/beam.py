@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DOP853
 
-from .._values import Array, Codes, Index
+from .._util.values import Array, Codes, Index
 from .shape import Law, Profile
 
 STAGES = DOP853.n_stages

@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from .._values import Array, Index
+from .._util.values import Array, Index
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each
 from .chebyshev import nodes

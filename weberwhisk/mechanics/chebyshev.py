@@ -18,7 +18,7 @@ from importlib import resources
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from .._values import Array
+from .._util.values import Array
 
 
 def nodes(n: int) -> Array:

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import refuse_hinge
-from .._values import Array, Codes, Flags
+from .._util.checks import refuse_hinge
+from .._util.values import Array, Codes, Flags
 from ..whisker import Whisker
 from .contact import Bending, Model, Outcome
 from .elastica import beyond_tip, by_rows

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Array, Codes, Flags, Shown, Worded, member, pd
+from .._util.values import Array, Codes, Flags, Shown, Worded, member, pd
 from ..whisker import Whisker
 
 

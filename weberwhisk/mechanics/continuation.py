@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._values import Array, Codes, Flags, Index
+from .._util.values import Array, Codes, Flags, Index
 from .beam import Path, Rows, needed, resolve
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)

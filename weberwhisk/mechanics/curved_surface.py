@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 
-from .._values import Array, Codes, Flags, Index
+from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from . import profile as planar
 from . import rod

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import refuse_hinge
-from .._values import Array, Codes, Flags
+from .._util.checks import refuse_hinge
+from .._util.values import Array, Codes, Flags
 from ..whisker import Whisker
 from .chebyshev import ChebyshevTable, Curve, fit, load_cap, nodes, place_of, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, FlickPast, Model, Outcome, bending

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite
-from .._values import Array, Codes, Flags, Index, member
+from .._util.checks import finite
+from .._util.values import Array, Codes, Flags, Index, member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
 from .chebyshev import ChebyshevTable, Curve, the_map, unfold

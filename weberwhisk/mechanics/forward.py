@@ -34,8 +34,8 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize.elementwise import find_root
 
-from .._checks import angle, positive, refuse_hinge
-from .._values import Array, Codes, Flags, Value
+from .._util.checks import angle, positive, refuse_hinge
+from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
 from .branches import THINNEST

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import angle, finite, one_of, positive
-from .._values import Array
+from .._util.checks import angle, finite, one_of, positive
+from .._util.values import Array
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .contact import TOLERANCE, Bending, FlickPast, Model

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, positive
-from .._values import Array, Codes
+from .._util.checks import finite, positive
+from .._util.values import Array, Codes
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
 from .equilibrium import Scenes, friction

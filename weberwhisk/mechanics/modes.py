@@ -20,8 +20,8 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
-from .._checks import finite, non_negative, whole
-from .._values import Array
+from .._util.checks import finite, non_negative, whole
+from .._util.values import Array
 from ..whisker import Whisker
 from .shape import Profile
 

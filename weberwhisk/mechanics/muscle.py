@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, positive, positive_number
-from .._values import Array, Codes, Flags, Index, Worded
+from .._util.checks import finite, positive, positive_number
+from .._util.values import Array, Codes, Flags, Index, Worded
 from ..whisker import Whisker
 from . import elastica
 

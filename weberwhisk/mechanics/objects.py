@@ -37,8 +37,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, kind, number
-from .._values import Array, Flags, member
+from .._util.checks import finite, kind, number
+from .._util.values import Array, Flags, member
 from ..whisker import Whisker
 from .contact import Bending, Outcome
 from .profile import bend

@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, positive
-from .._values import Array
+from .._util.checks import finite, positive
+from .._util.values import Array
 from ..whisker import Whisker
 from .beam import Rows, resolve
 from .contact import TOLERANCE, Bending, FlickPast, Outcome

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, positive
-from .._values import Array, Codes, Flags, Index
+from .._util.checks import finite, positive
+from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
 from .contact import TOLERANCE, Model, Outcome

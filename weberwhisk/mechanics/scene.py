@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._values import Array, Codes, Index
+from .._util.values import Array, Codes, Index
 from ..whisker import Whisker
 from . import closed_form, elastica, rod
 from .beam import Rows

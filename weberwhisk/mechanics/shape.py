@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import domain
-from .._checks import finite, kind, non_negative, positive, refuse_hinge
-from .._values import Array, Value
+from .._util.checks import finite, kind, non_negative, positive, refuse_hinge
+from .._util.values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 
 _METRES = "give metres, such as 5e-3"

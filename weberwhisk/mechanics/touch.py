@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, positive
-from .._values import Array
+from .._util.checks import finite, positive
+from .._util.values import Array
 from .beam import follow, pilot, rows_of
 from .contact import Outcome
 from .shape import Profile, bent_shape

@@ -16,7 +16,7 @@ probabilities. `Joint` gives each group of signals a model of its own. Constant 
 angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors.protocol`.
 """
 
-from .._values import Array
+from .._util.values import Array
 from .gaussian import Gaussian, GeneralisedWeber, Saturating, Weber
 from .other_laws import Events, LogNormal
 from .protocol import Component, Joint, ReceptorNoise, Seed

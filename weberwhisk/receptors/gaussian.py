@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import non_negative, number, numbers, positive
-from .._values import Array, Flags
+from .._util.checks import non_negative, number, numbers, positive
+from .._util.values import Array, Flags
 from .protocol import ReceptorNoise, Seed
 
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative, number
-from .._values import Array, Flags, Index
+from .._util.checks import finite, non_negative, number
+from .._util.values import Array, Flags, Index
 from .gaussian import Gaussian, Proportional
 from .protocol import ReceptorNoise, Seed
 

@@ -26,8 +26,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import several, shown, whole
-from .._values import Array, Flags, Value
+from .._util.checks import several, shown, whole
+from .._util.values import Array, Flags, Value
 
 Seed = int | np.random.SeedSequence | np.random.Generator | None
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, gammaln
 
-from .._checks import non_negative_number, positive, positive_number, shown, whole
-from .._values import Array, Value
+from .._util.checks import non_negative_number, positive, positive_number, shown, whole
+from .._util.values import Array, Value
 from .protocol import ReceptorNoise, Seed
 
 

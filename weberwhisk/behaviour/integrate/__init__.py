@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..._values import Array
+from ..._util.values import Array
 from ..axes import Steps, Windows, lapse_prior, lapse_weights, least_sds, with_tail
 from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import lognorm
 
-from ..._values import Array, Index
+from ..._util.values import Array, Index
 from ..axes import (
     Steps,
     Windows,

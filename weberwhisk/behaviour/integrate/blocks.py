@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from ..._values import Array, Index
+from ..._util.values import Array, Index
 from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import angle, number, one_of, one_or_more
-from ._values import Array, Shown, Value, pd
-from .mechanics.shape import Profile, Spiral
-from .whisker import SPECIES, Whisker, rest_shape
-from .whisker import identities as known_identities
+from .._util.checks import angle, number, one_of, one_or_more
+from .._util.values import Array, Shown, Value, pd
+from ..mechanics.shape import Profile, Spiral
+from ..whisker import SPECIES, Whisker, rest_shape
+from ..whisker import identities as known_identities
 
 ROWS = "ABCDE"
 _RADIANS = "give radians, such as 0.5"

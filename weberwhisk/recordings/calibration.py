@@ -12,8 +12,9 @@ import pandas as pd
 from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
-from .. import _checks, domain
-from .._values import Array, Shown
+from .. import domain
+from .._util import checks
+from .._util.values import Array, Shown
 from ..cues import Cue
 from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
@@ -53,7 +54,7 @@ class HingedTap(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """The slope (..., 1) and the outcome of contacts (..., 1)."""
-        _checks.refuse_hinge(whisker, "HingedTap, which has a hinge of its own,")
+        checks.refuse_hinge(whisker, "HingedTap, which has a hinge of its own,")
         r = np.asarray(contact, dtype=float)[..., 0]
         reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
         slope = _slope(np.where(reached, r, whisker.length / 2), whisker.apex_distance, self.hinge)
@@ -185,12 +186,12 @@ def calibrate(
     >>> bool(abs(found.noise.weber_fraction - 0.03) < 0.01), found.fits
     (True, True)
     """
-    _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
-    _checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
-    draws = _checks.whole("draws", draws, "write 20000, say", least=1000)
+    checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
+    checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
+    draws = checks.whole("draws", draws, "write 20000, say", least=1000)
     r, y, by_velocity = _taps(table, whisker, columns, units, counts)
     places = np.unique(r)
-    rng = _checks.generator(seed)
+    rng = checks.generator(seed)
     mode, covariance = _mode(r, y, whisker, hinge)
     root = np.linalg.cholesky(covariance)
     normal = rng.standard_normal((draws, len(mode)))

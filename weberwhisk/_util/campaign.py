@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import _checks, output
-from .._values import pd
-from ..output import shown
-from ..threads import core_count, in_browser, limited_blas
+from . import checks, output
 from .log import Log, read_lines
+from .output import shown
+from .threads import core_count, in_browser, limited_blas
+from .values import pd
 
 __all__ = ["CampaignError", "all_cores", "read", "run"]
 
@@ -103,9 +103,9 @@ def run(
 
     Examples
     --------
-    `weberwhisk.jnd_curves` gives one chunk to each Weber fraction:
+    `weberwhisk.jnd_sweep` gives one chunk to each Weber fraction:
 
-    >>> from weberwhisk.jnd_curves import jnd_rows
+    >>> from weberwhisk.sensitivity.curves import jnd_rows
     >>> tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
     ...        "radial_distance": [5e-3], "deflection_angle": None,
     ...        "method": "quadrature", "criterion": "d'=1", "n_readings": 4}
@@ -114,7 +114,7 @@ def run(
     [0.226, 0.453]
     """
     job = Job.of(work, chunks, seed)
-    _checks.whole("workers", workers, "write 2")
+    checks.whole("workers", workers, "write 2")
     if workers > 1 and in_browser():
         warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
         workers = 1

@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import logsumexp, ndtr
 
-from ._checks import angle, finite
-from ._values import Array
-from .array import Follicle
-from .inference import posterior
-from .inference.coordinates import constrain_angle, unconstrain_angle
-from .inference.observer import Observer
-from .inference.result import is_outside
-from .mechanics.contact import Outcome
+from .._util.checks import angle, finite
+from .._util.values import Array
+from ..inference import posterior
+from ..inference.coordinates import constrain_angle, unconstrain_angle
+from ..inference.observer import Observer
+from ..inference.result import is_outside
+from ..mechanics.contact import Outcome
+from .follicles import Follicle
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 from scipy.stats import chi2
 
-from .. import _checks
-from .._values import Array, Flags
+from .._util import checks
+from .._util.values import Array, Flags
 from ..mechanics import Profile
 
 Complex = NDArray[np.complex128]
@@ -358,10 +358,10 @@ def median_shape(bends: Array) -> Array:
 def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Flags:
     """Which rows are in contact, as a column or a list says."""
     if isinstance(contact, str):
-        _checks.one_of("contact", contact, map(str, tracking.columns))
+        checks.one_of("contact", contact, map(str, tracking.columns))
         values = tracking[contact]
     else:
-        several = _checks.several("contact", contact, "write the name of a column")
+        several = checks.several("contact", contact, "write the name of a column")
         if len(several) != len(tracking):
             raise ValueError(
                 f"contact must have a value for each of {len(tracking)} rows, got {len(several)}."
@@ -373,7 +373,7 @@ def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Fl
 
 def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame, plane: Array) -> Any:
     """Where the pole is in each row, complex pixels."""
-    place, axes = _checks.finite("pole", pole, "give its place in pixels"), plane.shape[1]
+    place, axes = checks.finite("pole", pole, "give its place in pixels"), plane.shape[1]
     if place.shape not in ((axes,), (len(tracking), axes)):
         raise ValueError(
             f"pole must be ({', '.join('xyz'[:axes])}), or that in each of {len(tracking)} rows, "

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _checks
-from ._values import Array, Flags, Shown, pd
-from .array_observer import ArrayObserver, Readings
-from .inference import Status
-from .place_sensor import JointEvidence, one_place
-from .receptors import Seed
+from .._util import checks
+from .._util.values import Array, Flags, Shown, pd
+from ..inference import Status
+from ..receptors import Seed
+from .evidence import JointEvidence, one_place
+from .observer import ArrayObserver, Readings
 
 __all__ = ["ArrayObserver", "Place", "place"]
 
@@ -57,8 +57,8 @@ def place(
     >>> len(found.touching), found.status.name, bool(found.credibility([20e-3, 5e-3]) < 0.95)
     (3, 'CONVERGED', True)
     """
-    _checks.kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
-    evidence, box, rng = observer.log_likelihood(readings), observer.box, _checks.generator(seed)
+    checks.kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
+    evidence, box, rng = observer.log_likelihood(readings), observer.box, checks.generator(seed)
     frame, some = Frame.of_box(box), np.empty((0, 2))
     if evidence.touched:
         drawn = [one.draws(rng, 800) for one in evidence.touched]
@@ -133,7 +133,7 @@ class Place(Shown):
 
     def interval(self, mass: float = 0.95) -> Array:
         """Equal-tailed intervals of x and of y, (2, 2), m."""
-        tail = (1 - _checks.mass(mass)) / 2
+        tail = (1 - checks.mass(mass)) / 2
         out = np.full((2, 2), np.nan)
         for i, values in enumerate(self.places.T):
             order = np.argsort(values)
@@ -148,7 +148,7 @@ class Place(Shown):
         The Gaussian's of the same covariance, which holds the place with probability `mass`.
         """
         values, vectors = np.linalg.eigh(self.covariance)
-        minor, major = np.sqrt(-2 * np.log1p(-_checks.mass(mass)) * values)
+        minor, major = np.sqrt(-2 * np.log1p(-checks.mass(mass)) * values)
         return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
 
     def credibility(self, place: ArrayLike) -> float:
@@ -160,7 +160,7 @@ class Place(Shown):
         """Area of the most probable places that hold the object with probability `mass`, m²."""
         order = np.argsort(-self.log_density)
         size = np.exp(np.log(self.weights[order]) - self.log_density[order])
-        kept = np.cumsum(self.weights[order]) - self.weights[order] < _checks.mass(mass)
+        kept = np.cumsum(self.weights[order]) - self.weights[order] < checks.mass(mass)
         return float(size[kept].sum())
 
     @cached_property

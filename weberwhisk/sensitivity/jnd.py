@@ -19,16 +19,16 @@ import scipy
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from ._checks import generator, whole
-from ._values import Array, Flags, pd, with_units
-from .cues import Fused
-from .cues.protocol import Cue
-from .inference.coordinates import UNITS
-from .inference.observer import Observer
-from .inference.quadrature import sums_of
-from .inference.weighted import density_of_distance
-from .mechanics.contact import Outcome
-from .receptors import ReceptorNoise, Seed
+from .._util.checks import generator, whole
+from .._util.values import Array, Flags, pd, with_units
+from ..cues import Fused
+from ..cues.protocol import Cue
+from ..inference.coordinates import UNITS
+from ..inference.observer import Observer
+from ..inference.quadrature import sums_of
+from ..inference.weighted import density_of_distance
+from ..mechanics.contact import Outcome
+from ..receptors import ReceptorNoise, Seed
 
 #: The criterion that is meant where none is named: the sd of one observation.
 SD = "d'=1"

@@ -170,7 +170,7 @@ class Shown:
         -------
         matplotlib.figure.Figure
         """
-        figures = sys.modules[__package__].figures
+        figures = sys.modules[__name__.partition(".")[0]].figures
         drawn: Figure = figures.shown(getattr(figures, self._figure), self, ax, options)
         return drawn
 

@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..mechanics import Profile
 from ..whisker import Whisker
 from .columns import AT_REST, COMMON, CORRELATION, FROM_SHAPE
@@ -115,7 +115,7 @@ def tracked_signals(
     >>> video = ww.read_tracking("C2.whiskers", pixels_per_mm=20, frame_rate=500)  # doctest: +SKIP
     >>> ww.locate(ww.tracked_signals(video, w), w)  # doctest: +SKIP
     """
-    _checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
+    checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
     profile = Profile.of(whisker)
     index: Any = getattr(tracking, "index", None)
     if isinstance(tracking, pd.DataFrame):
@@ -123,9 +123,9 @@ def tracked_signals(
     table = _one_whisker(tracking, identity)
     ppm, rate = _scales(tracking, pixels_per_mm, frame_rate)
     for name, value in (("pole_radius_px", pole_radius_px), ("friction_sd", friction_sd)):
-        _checks.non_negative_number(name, value, "give 0 for none")
-    pole_sd_px = _checks.positive_number("pole_sd_px", pole_sd_px, "give pixels, 0.5 say")
-    if not 0 < _checks.positive_number("false_alarms", false_alarms, "give 0.001, say") < 1:
+        checks.non_negative_number(name, value, "give 0 for none")
+    pole_sd_px = checks.positive_number("pole_sd_px", pole_sd_px, "give pixels, 0.5 say")
+    if not 0 < checks.positive_number("false_alarms", false_alarms, "give 0.001, say") < 1:
         raise ValueError(f"false_alarms must be below 1, got {false_alarms:g}; write 0.001, say.")
     length = float(profile.whisker.length)
     unit = 1e3 * length * ppm  # pixels
@@ -219,14 +219,14 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
     known = sorted(tracking[by].unique().tolist())
     if identity is None and len(known) > 1 and tracking["frame"].duplicated().any():
         raise ValueError(
-            f"Several whiskers were tracked ({by} {_checks.listed(map(str, known), 6)}); say which "
+            f"Several whiskers were tracked ({by} {checks.listed(map(str, known), 6)}); say which "
             f"with identity={known[0]!r}, or leave out fur with read_tracking(shortest_px=…)."
         )
     if identity is not None:
         identity = next((k for k in known if str(k) == str(identity)), identity)
         if identity not in known:
             raise ValueError(
-                f"There is no {by} {identity!r}; there are {_checks.listed(map(str, known), 6)}."
+                f"There is no {by} {identity!r}; there are {checks.listed(map(str, known), 6)}."
             )
         tracking = tracking[tracking[by] == identity]
     twice = tracking.loc[tracking["frame"].duplicated(), "frame"]
@@ -250,7 +250,7 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
         written = ", ".join(say[name] for name in missing)
         raise ValueError(f"No file tells {' or '.join(missing)}; write {written}, say.")
     for name, value in out.items():
-        _checks.positive_number(name, value, "give a number above zero")
+        checks.positive_number(name, value, "give a number above zero")
     return float(out["pixels_per_mm"]), float(out["frame_rate"])
 
 

@@ -10,7 +10,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._values import Array, Flags
+from .values import Array, Flags
 
 
 def numbers(name: str, value: ArrayLike, hint: str) -> Array:

@@ -3,7 +3,7 @@
 Each whisker that touches says by its cue how far away the object is and by how much it is deflected
 (`inference.observer`), which is a place of the head's own coordinates; each that does not excludes
 the places at which it would touch. Given the place, receptors of different whiskers are
-independent: likelihoods multiply. `places.place` has the posteriors.
+independent: likelihoods multiply. `place.place` has the posteriors.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import (
+from .._util.checks import (
     angle,
     finite,
     generator,
@@ -26,12 +26,12 @@ from ._checks import (
     positive_number,
     shown,
 )
-from ._values import Array
-from .array import WhiskerArray
-from .cues.protocol import Cue
-from .inference.observer import Observer
-from .place_sensor import JointEvidence, Sensor, metres, one_place
-from .receptors import ReceptorNoise, Seed
+from .._util.values import Array
+from ..cues.protocol import Cue
+from ..inference.observer import Observer
+from ..receptors import ReceptorNoise, Seed
+from .evidence import JointEvidence, Sensor, metres, one_place
+from .follicles import WhiskerArray
 
 Readings = Mapping[str, Any]
 _RADIANS = "give radians, such as 0.02"
@@ -113,7 +113,7 @@ class ArrayObserver:
     @cached_property
     def sensors(self) -> dict[str, Sensor]:
         """Whiskers with their observers, by name."""
-        from .cues import ForceMap
+        from ..cues import ForceMap
 
         out = {}
         for name, follicle in self.array.whiskers.items():

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from .. import _checks
-from .._values import Flags
+from .._util import checks
+from .._util.values import Flags
 from .files import (
     angle_and_curvature,
     hdf5,
@@ -102,13 +102,13 @@ def read_tracking(
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, "there is no such file of tracking", str(path))
     hint = "give a number, or leave it out"
-    shortest_px = _checks.non_negative_number("shortest_px", shortest_px, hint)
-    likelihood = _checks.non_negative_number("likelihood", likelihood, "give 0.6, say")
+    shortest_px = checks.non_negative_number("shortest_px", shortest_px, hint)
+    likelihood = checks.non_negative_number("likelihood", likelihood, "give 0.6, say")
     for name, value in (("pixels_per_mm", pixels_per_mm), ("frame_rate", frame_rate)):
         if value is not None:
-            _checks.positive_number(name, value, hint)
+            checks.positive_number(name, value, hint)
     if face is not None:
-        _checks.one_of("face", face, _FACES)
+        checks.one_of("face", face, _FACES)
     with open(path, "rb") as file:
         head = file.read(16)
     notes: list[str] = []
@@ -127,7 +127,7 @@ def read_tracking(
     table = _from_follicle(tidy(table, path))
     table = table[~(table["length_px"] < shortest_px)]
     if follicles is not None:
-        x0, y0, x1, y1 = _checks.finite("follicles", follicles, "give x, y, x, y in pixels")
+        x0, y0, x1, y1 = checks.finite("follicles", follicles, "give x, y, x, y in pixels")
         inside = table["follicle_x"].between(*sorted((x0, x1)))
         table = table[inside & table["follicle_y"].between(*sorted((y0, y1)))]
     table = table.reset_index(drop=True)

@@ -11,18 +11,18 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import campaign
-from ._checks import angle, finite, generator, one_of, positive, positive_number, whole
-from ._values import Array, Shown, pd, with_units
-from .cues import Compliance, ForceMap
-from .inference.coordinates import UNITS
-from .inference.observer import Observer, default_noise
-from .inference.touches import shared_unknowns, touches
+from .._util import campaign
+from .._util.checks import angle, finite, generator, one_of, positive, positive_number, whole
+from .._util.values import Array, Shown, pd, with_units
+from ..cues import Compliance, ForceMap
+from ..inference.coordinates import UNITS
+from ..inference.observer import Observer, default_noise
+from ..inference.touches import shared_unknowns, touches
+from ..mechanics import elastica, flick_past, press
+from ..mechanics.contact import Outcome
+from ..receptors import Seed
+from ..whisker import Whisker
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
-from .mechanics import elastica, flick_past, press
-from .mechanics.contact import Outcome
-from .receptors import Seed
-from .whisker import Whisker
 
 #: Columns of a `JNDCurve` that are JNDs, m.
 _JNDS = ("closed_form", "propagation", "fisher", "posterior", "posterior_error", "estimator",
@@ -184,7 +184,7 @@ def jnd_curve(
     10.0                          0.81      0.802
     40.0                          0.96      0.951
     """
-    from .inference import Status, posterior
+    from ..inference import Status, posterior
 
     one_of("method", method, ("quadrature", "emcee", "laplace"))
     criterion_factor(criterion)

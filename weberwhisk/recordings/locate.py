@@ -1,7 +1,4 @@
-"""Measured contacts: from trackers' files and tables of forces to distances.
-
-`locate` makes one posterior of each row of a table, and one of each touch.
-"""
+"""`locate`: one posterior of each row of a table, and one of each touch."""
 
 from __future__ import annotations
 
@@ -15,10 +12,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _checks, domain
-from .._values import Array, Flags, Index
+from .. import domain
+from .._util import checks
+from .._util.values import Array, Flags, Index
 from ..cues import Cue
-from ..cues.force_map import MeasuredAngle, is_curved
+from ..cues.force_map import is_curved
 from ..inference import Status
 from ..inference.coordinates import in_words
 from ..inference.observer import Observer, default_noise
@@ -27,7 +25,7 @@ from ..inference.quadrature import TOLERANCE, sums_of
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise
 from ..whisker import Whisker
-from .calibration import Calibration, HingedTap, averaged, calibrate
+from .calibration import Calibration, averaged
 from .columns import (
     COMMON,
     FROM_SHAPE,
@@ -41,13 +39,6 @@ from .columns import (
     turn_round,
     values_of,
 )
-from .signals import tracked_signals
-from .trackers import read_tracking
-
-__all__ = [
-    "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking",
-    "tracked_signals",
-]  # fmt: skip
 
 #: What `locate` adds to a table.
 RESULTS = (
@@ -191,7 +182,7 @@ def locate(
             )  # fmt: skip
 
         return averaged(whisker, located_by, progress)
-    _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
+    checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
     for name in (*RESULTS, MEASURED, *(TOUCH_RESULTS if touch is not None else ())):
@@ -298,11 +289,11 @@ def _touches_of(
         if touch not in raw.columns:
             raise ValueError(
                 f"The table has no column {touch!r} of touches; it has "
-                f"{_checks.listed(map(str, raw.columns), 8)}."
+                f"{checks.listed(map(str, raw.columns), 8)}."
             )
         values = raw[touch].to_list()
     else:
-        values = _checks.several("touch", touch, "write the name of a column")
+        values = checks.several("touch", touch, "write the name of a column")
         if len(values) != len(raw):
             raise ValueError(
                 f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "

@@ -13,8 +13,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from .. import output
-from .._checks import shown
+from . import output
+from .checks import shown
 
 FORMAT = 1
 

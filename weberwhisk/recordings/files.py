@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
@@ -171,7 +171,7 @@ def points(path: Path) -> pd.DataFrame:
         return raw
     raise ValueError(
         f"{path.name}: no tracker's file that is known, and no table of points with the "
-        f"columns frame, x and y; it has {_checks.listed(map(str, raw.columns), 6)}."
+        f"columns frame, x and y; it has {checks.listed(map(str, raw.columns), 6)}."
     )
 
 
@@ -280,7 +280,7 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
         return _numbered(source), "table"
     if not isinstance(source, str | Path):
         raise ValueError(
-            f"source must be a path or a DataFrame, got {_checks.shown(source)}; give a table of "
+            f"source must be a path or a DataFrame, got {checks.shown(source)}; give a table of "
             f"{row}s, or its file."
         )
     path = Path(source)

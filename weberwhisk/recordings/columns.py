@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .. import _checks
-from .._values import Array
+from .._util import checks
+from .._util.values import Array
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS, MeasuredAngle
 from ..cues.unknowns import Friction
@@ -85,17 +85,17 @@ def find_columns(
     for argument, name in ((columns, "columns"), (units, "units")):
         if argument is not None and not isinstance(argument, Mapping):
             raise ValueError(
-                f"{name} must be a mapping, got {_checks.shown(argument)}; write "
+                f"{name} must be a mapping, got {checks.shown(argument)}; write "
                 f'{name}={{"moment": "{"M" if name == "columns" else "uN m"}"}}, say.'
             )
         for key in argument or {}:
-            _checks.one_of(f"{name} key", key, NAMES)
+            checks.one_of(f"{name} key", key, NAMES)
     found: dict[str, tuple[str, float, bool]] = {}
     for quantity, column in (columns or {}).items():
         if column not in header:
             raise ValueError(
                 f"The table has no column {column!r}, mapped from {quantity!r}; it has "
-                f"{_checks.listed(header, 8)}."
+                f"{checks.listed(header, 8)}."
             )
         found[quantity] = _of(quantity, column, column, units)
     taken = set((columns or {}).values())
@@ -343,7 +343,7 @@ def signals_of(
             cue = ForceMap(forces)
         else:
             raise ValueError(
-                f"No distance follows from the columns {_checks.listed(header, 8)}, of which "
+                f"No distance follows from the columns {checks.listed(header, 8)}, of which "
                 f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
                 "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
                 'with columns={"moment": "M"}, or on the command line with --column moment=M.'

@@ -30,8 +30,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from . import __version__
-from ._values import pd
+from .. import __version__
+from .values import pd
 
 __all__ = ["Run", "atomic_write", "csv_text", "locked", "to_json"]
 

@@ -1,0 +1,1 @@
+"""What modules of all rooms share: checks of input, values, files, threads and long sweeps."""
