@@ -1,6 +1,5 @@
 """What objects are to their user: values that compare, hash and print, and results that show
-themselves in a line, as HTML in a notebook and as a figure. Old public names keep working for one
-release, with a `DeprecationWarning`."""
+themselves in a line, as HTML in a notebook and as a figure."""
 
 from __future__ import annotations
 
