@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 from .coordinates import from_normal, is_all_around
-from .observer import Evaluated, Observer, evaluated
+from .observer import Evaluated, Observer, evaluated, near_azimuth
 from .tree import DROP, tree_of
 from .weighted import OVER, Proposals, Spans, Sums, extrapolated, interpolate
 
@@ -148,10 +148,7 @@ class Axis:
         value = float(self.value(node))
         turning = np.flatnonzero(self.observer.cue.circular)
         if turning.size and self.around and self.observer.noise.reads_signals:
-            # Directions are counted in whole turns to be near the azimuth.
-            readings = readings.copy()
-            turns = np.round((readings[:, turning[:1]] - value) / (2 * np.pi))
-            readings[:, turning] -= 2 * np.pi * turns
+            readings = near_azimuth(readings, turning, np.asarray(value))
         if self.known == "turned":
             readings = readings.copy()
             readings[:, turning] -= value

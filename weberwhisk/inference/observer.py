@@ -463,11 +463,9 @@ class Observer:
         reading, turning = np.asarray(reading, dtype=float), np.flatnonzero(self.cue.circular)
         if not (turning.size and self.noise.reads_signals and is_all_around(self.prior["azimuth"])):
             return reading
-        azimuth = np.asarray(contact)[..., self.unknowns.index("azimuth")]
-        turns = np.round((reading[..., turning[0]] - azimuth) / (2 * np.pi))
-        out = np.broadcast_to(reading, (*turns.shape, reading.shape[-1])).copy()
-        out[..., turning] -= 2 * np.pi * turns[..., None]
-        return out
+        return near_azimuth(
+            reading, turning, np.asarray(contact)[..., self.unknowns.index("azimuth")]
+        )
 
     def log_density(self, x: ArrayLike, reading: ArrayLike) -> Array:
         """ln of the posterior density in the coordinates x, up to the evidence, (...)."""
@@ -578,6 +576,14 @@ class Observer:
             array[..., turned] -= full * np.round(first / full)
             array[..., turned] -= full * np.round((off - off[..., :1]) / full)
         return array
+
+
+def near_azimuth(reading: Array, turning: Any, azimuth: Array) -> Array:
+    """Readings (..., R), the columns `turning` in whole turns to be near azimuths (...), rad."""
+    turns = np.round((reading[..., turning[0]] - azimuth) / (2 * np.pi))
+    out = np.broadcast_to(reading, (*turns.shape, reading.shape[-1])).copy()
+    out[..., turning] -= 2 * np.pi * turns[..., None]
+    return out
 
 
 def default_noise(
