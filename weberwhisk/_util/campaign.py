@@ -150,7 +150,7 @@ def run(
 
 
 def all_cores(workers: int | None, scheduler: str | None) -> int:
-    """As many workers as asked for; by default one a core, or those of the cluster.
+    """As many workers as requested; by default one a core, or those of the cluster.
 
     Examples
     --------
@@ -189,7 +189,7 @@ class Job:
 
     @classmethod
     def of(cls, work: Work, chunks: Iterable[Chunk], seed: int | np.random.SeedSequence) -> Job:
-        """As asked for, or refused."""
+        """The job as requested, or a refusal."""
         module, name = getattr(work, "__module__", None), getattr(work, "__qualname__", None)
         found: Any = None
         with suppress(AttributeError):
