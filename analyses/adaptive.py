@@ -23,7 +23,7 @@ import pandas as pd
 from command import options
 
 import weberwhisk as ww
-from weberwhisk import campaign, figures
+from weberwhisk import campaign, plots
 from weberwhisk._util.output import Run
 from weberwhisk.behaviour import IdentityEncoding, response_probability
 from weberwhisk.design import (
@@ -36,8 +36,8 @@ from weberwhisk.design import (
     lattice,
     taper,
 )
-from weberwhisk.figures.fits import binomial_interval
-from weberwhisk.figures.style import LINES, bars, legend_above, look, mark
+from weberwhisk.plots.fits import binomial_interval
+from weberwhisk.plots.style import LINES, bars, legend_above, look, mark
 
 LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -182,7 +182,7 @@ def crossing(curve: pd.Series, level: float) -> float:
     return float(n[i - 1] + (n[i] - n[i - 1]) * (y[i - 1] - level) / (y[i - 1] - y[i]))
 
 
-@figures.styled
+@plots.styled
 def draw(tables: Mapping[str, pd.DataFrame]) -> Any:
     """What simulated experiments know after so many trials, a line a method.
 
@@ -194,7 +194,7 @@ def draw(tables: Mapping[str, pd.DataFrame]) -> Any:
     """
     first, second = tables["estimation"], tables["discrimination"]
     ks = sorted(first["weber_fraction"].unique())
-    figure = figures.new_figure(figures.DOUBLE, 2.9)
+    figure = plots.new_figure(plots.DOUBLE, 2.9)
     axes = figure.subplots(1, len(ks) + 1)
     methods = list(dict.fromkeys(first["method"]))
     half = (first["high"] - first["low"]) / (first["high"] + first["low"])

@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import Observer, Status, Whisker, campaign, figures
+from weberwhisk import Observer, Status, Whisker, campaign, plots
 from weberwhisk._util.output import Run
 from weberwhisk.behaviour import Priors, fit_weber, simulate_trials
 from weberwhisk.cues import (
@@ -408,10 +408,10 @@ DRAWN = ("group", "name", "n", "p", "covered_50", "covered_80", "covered_95")
 GROUPS = {"cues": "cues", "receptors": "receptors", "emcee": "cues by emcee", "fits": "fits"}
 
 
-@figures.styled
+@plots.styled
 def draw(table: pd.DataFrame) -> Figure:
     """From the table alone: p of all sets of ranks in order, coverage, and what is wrong."""
-    figure = figures.new_figure(figures.DOUBLE, 3.0)
+    figure = plots.new_figure(plots.DOUBLE, 3.0)
     ordered, covered, caught = figure.subplots(1, 3, width_ratios=[1, 1, 0.6])
     ordered.plot([0, 1], [0, 1], color="0.7", linewidth=0.7)
     at = np.linspace(0.005, 0.995, 100)
@@ -421,7 +421,7 @@ def draw(table: pd.DataFrame) -> Figure:
     ordered.fill_between(at, low, high, color="0.88", linewidth=0)
     for i, (group, words) in enumerate(GROUPS.items()):
         own = table[table["group"] == group]
-        look = {"color": figures.COLOURS[i], "marker": figures.MARKERS[i], "linestyle": ""}
+        look = {"color": plots.COLOURS[i], "marker": plots.MARKERS[i], "linestyle": ""}
         p = np.sort(own["p"])
         label = f"{words} ({len(own)})"
         ordered.plot((np.arange(len(p)) + 0.5) / len(p), p, markersize=2, label=label, **look)
@@ -436,7 +436,7 @@ def draw(table: pd.DataFrame) -> Figure:
     covered.set(xlabel="nominal coverage", ylabel="covered more than nominal (%)")
     covered.set_xticks([5 * j + 1.5 for j in range(3)], [f"{m:.0%}" for m in MASSES])
     worst = table[table["group"] == "broken"].groupby("name", sort=False)["p"].min()
-    caught.barh(range(len(worst)), -np.log10(worst), color=figures.COLOURS[0], height=0.6)
+    caught.barh(range(len(worst)), -np.log10(worst), color=plots.COLOURS[0], height=0.6)
     caught.axvline(-np.log10(0.05), color="0.4", linewidth=0.7, linestyle="--")
     caught.text(-np.log10(0.05), -0.55, " p = 0.05", color="0.4", fontsize=6, va="bottom")
     caught.set_yticks(range(len(worst)), list(worst.index))

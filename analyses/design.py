@@ -18,7 +18,7 @@ from command import options
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk._util.output import Run
 from weberwhisk.design import Power, Scheme, SubjectPopulation, information, taper
 
@@ -42,13 +42,13 @@ def tell(points: int) -> dict[str, pd.DataFrame]:
     }
 
 
-@figures.styled
+@plots.styled
 def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
-    figure = figures.new_figure(figures.DOUBLE, 5.0)
+    figure = plots.new_figure(plots.DOUBLE, 5.0)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for row, (when, table) in zip(axes, tables.items(), strict=True):
         for ax, about in zip(row, ("weber_fraction", "hypothesis"), strict=True):
-            figures.information_map(table, ax, about=about)
+            plots.information_map(table, ax, about=about)
             ax.get_legend().remove()  # type: ignore[union-attr]
             ax.set_title(when)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center")
@@ -62,18 +62,18 @@ def grow(runs: int) -> Power:
     return ww.power(scheme, hypotheses, trials=TRIALS, expected=ANIMAL, runs=runs, seed=SEED)
 
 
-@figures.styled
+@plots.styled
 def draw_power(found: Power) -> Figure:
-    figure = figures.new_figure(figures.DOUBLE, 2.8)
+    figure = plots.new_figure(plots.DOUBLE, 2.8)
     left, right = figure.subplots(1, 2)
-    figures.power_curve(found, left)
+    plots.power_curve(found, left)
     for i, (truth, own) in enumerate(found.table.groupby("truth", sort=False)):
         middle = own["half_width"].to_numpy(float)
         right.errorbar(
             own["trials"] * 1.03 ** (2 * i - 1),
             100 * middle,
             100 * np.array([middle - own["half_width_5"], own["half_width_95"] - middle]),
-            color=figures.COLOURS[i], marker=figures.MARKERS[i], linestyle=figures.LINES[i],
+            color=plots.COLOURS[i], marker=plots.MARKERS[i], linestyle=plots.LINES[i],
             elinewidth=1, label=f"{truth}: median, 90 % of runs",
         )  # fmt: skip
     right.axhline(20, color="0.6", linewidth=0.8, linestyle=":", label="± 20 %")

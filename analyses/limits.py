@@ -30,7 +30,7 @@ import pandas as pd
 from command import ANALYSES, options
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk.cues import BalanceOfMoments
 from weberwhisk.mechanics import elastica
 
@@ -237,10 +237,10 @@ def measure(points: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@figures.styled
+@plots.styled
 def draw(table: pd.DataFrame) -> Any:
     """Biases above, slopes below; a column for each factor."""
-    figure = figures.new_figure(figures.DOUBLE, 4.6)
+    figure = plots.new_figure(plots.DOUBLE, 4.6)
     axes = figure.subplots(2, len(FACTORS), sharex="col", sharey="row")
     colours = dict(zip(METHODS, ("#0072B2", "#009E73", "#D55E00", "#CC79A7"), strict=True))
     for factor, (above, below) in zip(FACTORS, axes.T, strict=True):

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from command import ANALYSES, markdown_table, options
 
-from weberwhisk import compare, figures, fit_weber
+from weberwhisk import compare, fit_weber, plots
 from weberwhisk.behaviour import (
     Comparison,
     Trials,
@@ -180,21 +180,21 @@ def people(trials: Trials, lines: list[str]) -> list[WeberFit]:
 
 def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path) -> None:
     """The figure: the rat's course, its residuals by session, and the people's curves."""
-    figure = figures.new_figure(figures.DOUBLE, 4.6)
+    figure = plots.new_figure(plots.DOUBLE, 4.6)
     ((course, off), (one, two)) = figure.subplots(2, 2)
     middle, low, high = (blocks[c].to_numpy(float) for c in ("weber_fraction", "lower", "upper"))
     course.errorbar(
         blocks["middle"], middle, [(middle - low).tolist(), (high - middle).tolist()], fmt="o-",
-        color=figures.COLOURS[0], capsize=2, markersize=4,
+        color=plots.COLOURS[0], capsize=2, markersize=4,
     )  # fmt: skip
     course.set_ylim(bottom=0)
     course.set_xlabel("session")
     course.set_ylabel("Weber fraction per unit")
     course.text(0.78, 0.9, "the rat", transform=course.transAxes)
-    figures.residuals(residuals_by(whole, "session"), off)
+    plots.residuals(residuals_by(whole, "session"), off)
     off.text(0.04, 0.9, "the rat", transform=off.transAxes)
     for ax, fit in zip((one, two), fits, strict=True):
-        figures.psychometric(fit, ax, unit="log ratio")
+        plots.psychometric(fit, ax, unit="log ratio")
         ax.text(0.04, 0.9, f"person {fit.trials.subjects[0]}", transform=ax.transAxes)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

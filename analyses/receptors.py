@@ -15,7 +15,7 @@ import pandas as pd
 from command import options
 from matplotlib.figure import Figure
 
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk._util.output import Run
 from weberwhisk.receptors import (
     Afferents,
@@ -49,19 +49,19 @@ def effective(points: int = 201) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-@figures.styled
+@plots.styled
 def draw(table: pd.DataFrame) -> Figure:
     """One line a model; the range of the afferents' thresholds is shaded."""
-    figure = figures.new_figure(figures.DOUBLE / 1.6, figures.SINGLE * 0.9)
+    figure = plots.new_figure(plots.DOUBLE / 1.6, plots.SINGLE * 0.9)
     ax = figure.subplots()
     ax.axvspan(LOWEST, HIGHEST, color="0.93", label="the afferents' thresholds")
     for i, name in enumerate(MODELS):
-        style = figures.LINES[i % len(figures.LINES)]
+        style = plots.LINES[i % len(plots.LINES)]
         # Weber's law and its log-normal form are one line: the wide one shows beneath the dots.
         wide, dots = name == "Weber", name == "log-normal"
         ax.loglog(
             table["moment"], table[name], ":" if dots else style, label=name,
-            color="black" if dots else figures.COLOURS[i], linewidth=4.0 if wide else 1.3,
+            color="black" if dots else plots.COLOURS[i], linewidth=4.0 if wide else 1.3,
             alpha=0.4 if wide else 1.0, zorder=3 if dots else 2,
         )  # fmt: skip
     marked = table.iloc[::8]

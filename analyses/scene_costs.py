@@ -37,10 +37,10 @@ from matplotlib.patches import Patch
 from speed_accuracy.beams import timed
 
 import weberwhisk as ww
-from weberwhisk import figures
-from weberwhisk.figures.style import SMALL
+from weberwhisk import plots
 from weberwhisk.mechanics import Choice
 from weberwhisk.mechanics.scene import press_by
+from weberwhisk.plots.style import SMALL
 
 Array = np.ndarray
 #: Long, middling and short whiskers of the rat (Belli et al. 2017).
@@ -284,10 +284,10 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.DataFrame(ladder), pd.DataFrame(rungs)
 
 
-@figures.styled
+@plots.styled
 def draw(ladder: pd.DataFrame, rungs: pd.DataFrame, foot: str = "") -> Any:
     """Shares of the time in contact by model; the map of cost and error; what choosing costs."""
-    figure = figures.new_figure(figures.DOUBLE, 7.6)
+    figure = plots.new_figure(plots.DOUBLE, 7.6)
     left, right = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     _shares(left.subplots(), ladder)
     above, below = right.subplots(2, 1)

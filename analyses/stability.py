@@ -36,7 +36,7 @@ from hunting import Domain, Fate, hunt, silent
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk._util.output import Run
 
 HERE = Path(__file__).parent
@@ -165,12 +165,12 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
         ax.set(xscale="log", yscale="log", xlabel="Weber fraction", ylabel="trials a level")
 
 
-@figures.styled
+@plots.styled
 def draw(cases: pd.DataFrame) -> Figure:
     """A map for each model and engine."""
     panels = list(cases["panel"].unique())
     rows = -(-len(panels) // 4)
-    figure = figures.new_figure(figures.DOUBLE, 0.4 + 1.9 * rows)
+    figure = plots.new_figure(plots.DOUBLE, 0.4 + 1.9 * rows)
     axes = figure.subplots(rows, 4, squeeze=False).ravel()
     for ax in axes[len(panels) :]:
         ax.axis("off")

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk._util.output import Run
 from weberwhisk.inference.sweeping import SweepFilter, Track, follow
 from weberwhisk.mechanics.objects import Sweep, cylinder, peg, sweep
@@ -74,10 +74,10 @@ def drift(name: str, sweep_of: Sweep, found: list[tuple[Track, Track]]) -> pd.Da
     )
 
 
-@figures.styled
+@plots.styled
 def draw(sweeps: dict[str, Sweep], found: dict[str, list[tuple[Track, Track]]]) -> Figure:
     """True and recovered paths, a panel a body, in the frame of the whisker at first contact."""
-    figure = figures.new_figure(figures.DOUBLE, 2.8)
+    figure = plots.new_figure(plots.DOUBLE, 2.8)
     for ax, (name, s) in zip(figure.subplots(1, len(sweeps)), sweeps.items(), strict=True):
         b = s.bending
         angle = b.deflection_angle[1:] - PUSH
@@ -85,7 +85,7 @@ def draw(sweeps: dict[str, Sweep], found: dict[str, list[tuple[Track, Track]]]) 
         track = found[name][0][1]
         centre, sd = 1e3 * track.path, 1e3 * track.path_sd
         ax.errorbar(*centre.T, xerr=2 * sd[:, 0], yerr=2 * sd[:, 1], fmt=".", linewidth=0.5,
-                    color=figures.COLOURS[1], alpha=0.5, label="filter ± 2 sd")  # fmt: skip
+                    color=plots.COLOURS[1], alpha=0.5, label="filter ± 2 sd")  # fmt: skip
         ax.plot(x, y, "o-", markersize=2, color="black", zorder=3, label="contact")
         _object(ax, BODIES[name], float(s.first_contact))
         ax.set(title=name, xlabel="x (mm)")

@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 
 LENGTH = 50e-3
 STRAIGHT = ww.Whisker(LENGTH, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
@@ -85,10 +85,10 @@ def models(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
     return choice.model
 
 
-@figures.styled
+@plots.styled
 def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
     """The figure, and the share of the held contacts drawn that each model serves."""
-    figure = figures.new_figure(figures.DOUBLE, 6.4)
+    figure = plots.new_figure(plots.DOUBLE, 6.4)
     axes = figure.subplots(len(CASES), len(WEBER_FRACTIONS), sharex=True, sharey=True)
     shares = []
     # Closer together towards the tip, where the end of contact changes from fold to tip.
@@ -158,7 +158,7 @@ def _label(axes: Any) -> None:
             ("black", "--", "first touch"),
         )
     ]
-    figure = figures.figure_of(ax)
+    figure = plots.figure_of(ax)
     figure.legend(handles=patches + lines, loc="outside upper center", ncols=4)
 
 

@@ -103,7 +103,7 @@ MODULES = {
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",
     "weberwhisk.campaign": "Long sweeps on cores and clusters",
-    "weberwhisk.figures": "Figures of results",
+    "weberwhisk.plots": "Figures of results",
 }
 
 

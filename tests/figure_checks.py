@@ -14,8 +14,8 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from weberwhisk.figures import DOUBLE
-from weberwhisk.figures.style import SMALL
+from weberwhisk.plots import DOUBLE
+from weberwhisk.plots.style import SMALL
 
 
 def faults(figure: Figure) -> list[str]:

@@ -55,10 +55,10 @@ import weberwhisk as ww
 """
 
 FIT = """
-from weberwhisk import figures
+from weberwhisk import plots
 trials = ww.simulate_trials(trials_per_level=20, seed=1)
 fit = ww.fit_weber(trials)
-figures.psychometrics(fit)
+plots.psychometrics(fit)
 assert 0.05 < fit.weber_fraction < 0.3 and "Weber fraction" in fit.report()
 """
 CONTACTS = """

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import design, figures
+from weberwhisk import design, plots
 from weberwhisk.sensitivity import linear_surface
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
@@ -40,7 +40,7 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
         ({}, 1.0, 1.0),
         ({"length": 50e-3, "weber_fraction": 0.1}, 50.0, 5.0),
     ):
-        ax = figures.jnd_lines({"one": table, "two": table}, **options)
+        ax = plots.jnd_lines({"one": table, "two": table}, **options)
         line = ax.get_lines()[0]
         np.testing.assert_allclose(line.get_xdata(), table.index / x_unit)
         np.testing.assert_allclose(line.get_ydata(), table["closed_form_mm"] / y_unit)
@@ -58,7 +58,7 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
 def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
     table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).table
     table["posterior_mm"] = np.nan
-    assert figures.jnd_lines(table).containers == []
+    assert plots.jnd_lines(table).containers == []
 
 
 def test_lines_of_two_angles_are_not_joined_and_no_closed_form_has_no_line() -> None:
@@ -66,24 +66,24 @@ def test_lines_of_two_angles_are_not_joined_and_no_closed_form_has_no_line() -> 
     curve = ww.jnd_curve(
         force_map, [20e-3, 25e-3, 20e-3, 25e-3], [0.1, 0.1, 0.2, 0.2], n_readings=4, seed=1
     )
-    ax = figures.jnd_lines(curve.table, length=50e-3)
+    ax = plots.jnd_lines(curve.table, length=50e-3)
     assert [list(line.get_xdata()) for line in ax.get_lines()[:1]] == [[0.4, 0.5]]
     assert ax.get_ylabel().startswith("JND/L,")  # no Weber fraction was given
-    ax = figures.jnd_lines(curve.table.assign(closed_form_mm=np.nan))
+    ax = plots.jnd_lines(curve.table.assign(closed_form_mm=np.nan))
     assert not any("closed form" in str(line.get_label()) for line in ax.get_lines())
 
 
 def test_a_posterior_that_is_not_there_says_so_and_three_signals_need_three_axes() -> None:
-    ax = figures.posterior_histogram(ww.posterior(observer(), [np.nan]))
+    ax = plots.posterior_histogram(ww.posterior(observer(), [np.nan]))
     assert "no posterior" in ax.texts[0].get_text()
     with pytest.raises(ValueError, match="of 'distance' is unknown"):
-        figures.posterior_histogram(ww.posterior(observer(), [1e-5]), of="distance")
+        plots.posterior_histogram(ww.posterior(observer(), [1e-5]), of="distance")
     bent = ww.press(WHISKER, [10e-3, 20e-3], 0.1)
     with pytest.raises(ValueError, match="give three axes"):
-        figures.bending(bent, ax)
+        plots.bending(bent, ax)
     with pytest.raises(ValueError, match="against 'arc_length' is unknown"):
-        figures.bending(bent, against="arc_length")
-    assert "10 to 20 mm" in str(figures.bending(bent)[0].get_lines()[0].get_label())
+        plots.bending(bent, against="arc_length")
+    assert "10 to 20 mm" in str(plots.bending(bent)[0].get_lines()[0].get_label())
 
 
 def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
@@ -101,7 +101,7 @@ def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
         {"radial_distance_mm": [25.0], "deflection_angle_deg": [5.0], "posterior_mm": 5.0}
     )
     shuffled = table.sample(frac=1.0, random_state=1)
-    ax = figures.jnd_surface(shuffled, length=50e-3, weber_fraction=0.1, points=points)
+    ax = plots.jnd_surface(shuffled, length=50e-3, weber_fraction=0.1, points=points)
     edge = ax.get_lines()[0]
     np.testing.assert_allclose(edge.get_xdata(), r / 50e-3)
     np.testing.assert_allclose(edge.get_ydata(), np.degrees(limit))
@@ -111,8 +111,8 @@ def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
 
 def test_psychometric_shows_choices_and_curve(fit: ww.WeberFit) -> None:
     with pytest.raises(ValueError, match="2 standards; name one, such as standard=1"):
-        figures.psychometric(fit)
-    ax = figures.psychometric(fit, standard=2.0)
+        plots.psychometric(fit)
+    ax = plots.psychometric(fit, standard=2.0)
     cells = fit.trials.cells().of(2.0)
     seen = ax.containers[0].lines[0]
     np.testing.assert_allclose(seen.get_xdata(), cells.stimulus_2)
@@ -123,15 +123,15 @@ def test_psychometric_shows_choices_and_curve(fit: ww.WeberFit) -> None:
 
 
 def test_psychometrics_has_a_panel_for_each_standard(fit: ww.WeberFit) -> None:
-    axes = figures.psychometrics(fit, unit="g")
+    axes = plots.psychometrics(fit, unit="g")
     assert [ax.get_title() for ax in axes] == ["standard 1", "standard 2"]
-    assert figures.figure_of(axes).get_supxlabel() == "Second stimulus (g)"
+    assert plots.figure_of(axes).get_supxlabel() == "Second stimulus (g)"
 
 
 def test_psychometric_of_given_parameters_has_no_band(fit: ww.WeberFit) -> None:
     known = {"weber_fraction": 0.15, "lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
     exact = ww.fit_weber(fit.trials, priors=known)
-    ax = figures.psychometric(exact, standard=1.0)
+    ax = plots.psychometric(exact, standard=1.0)
     legend = ax.get_legend()
     assert legend is not None
     named = [text.get_text() for text in legend.get_texts()]
@@ -143,14 +143,14 @@ def test_log_column_is_drawn_by_difference() -> None:
         {"stimulus_1": [0.0, 1.0] * 20, "stimulus_2": [1.0, 0.0] * 20, "choice": [1, 0] * 20}
     )
     fit = ww.fit_weber(ww.read_trials(table, scale="log"))
-    ax = figures.psychometric(fit)
+    ax = plots.psychometric(fit)
     np.testing.assert_allclose(ax.containers[0].lines[0].get_xdata(), [1.0, -1.0])
     assert "log column" in ax.get_xlabel()
 
 
 def test_binomial_intervals_are_jeffreys() -> None:
     count, n = np.array([0.0, 3.0, 10.0]), np.full(3, 10.0)
-    low, high = figures.fits.binomial_interval(count, n)
+    low, high = plots.fits.binomial_interval(count, n)
     expected = stats.beta(count + 0.5, n - count + 0.5).interval(0.95)
     np.testing.assert_allclose([low[1], high[1]], [e[1] for e in expected])
     assert (low[0], high[2]) == (0, 1)
@@ -161,12 +161,12 @@ def test_binomial_intervals_are_jeffreys() -> None:
 def test_bending_draws_a_line_for_each_contact_and_says_where_there_is_none() -> None:
     lines = ww.press(WHISKER, [[20e-3], [40e-3], [60e-3]], np.linspace(0.01, 0.5, 30))
     points = ww.press(WHISKER, [[20e-3], [40e-3], [60e-3]], [0.1, 0.2])
-    axes = figures.bending(lines, points=points)
+    axes = plots.bending(lines, points=points)
     assert [len(ax.get_lines()) for ax in axes] == [4, 4, 4]  # a line and its marks, twice
     x, y = axes[0].get_lines()[0].get_data()
     np.testing.assert_allclose(x, np.degrees(lines.deflection_angle[0]))
     np.testing.assert_allclose(y, lines.moment[0] * 1e6)
-    nothing = figures.bending(ww.press(WHISKER, [[60e-3]], np.linspace(0.01, 0.5, 5)))
+    nothing = plots.bending(ww.press(WHISKER, [[60e-3]], np.linspace(0.01, 0.5, 5)))
     assert [text.get_text() for text in nothing[1].texts] == ["no contact is held"]
 
 
@@ -174,7 +174,7 @@ def test_bending_draws_a_line_for_each_contact_and_says_where_there_is_none() ->
 def test_posterior_shows_its_mean_and_interval(of: str) -> None:
     seen = observer(ww.cues.ForceMap())
     result = ww.posterior(seen, seen.read([35e-3, 0.2], seed=2))
-    ax = figures.posterior_histogram(result, of=of)
+    ax = plots.posterior_histogram(result, of=of)
     unit = {"radial_distance": 1e-3, "deflection_angle": np.pi / 180}[of]
     at = [line.get_xdata()[0] * unit for line in ax.get_lines()]
     np.testing.assert_allclose(at, [result.estimates[of].mean, *result.interval(of=of)])
@@ -183,32 +183,32 @@ def test_posterior_shows_its_mean_and_interval(of: str) -> None:
 def test_posterior_of_many_readings_is_refused() -> None:
     result = ww.posterior(observer(), observer().read(np.full((2, 1), 30e-3), seed=1))
     with pytest.raises(ValueError, match="got 2 readings; infer from one"):
-        figures.posterior_histogram(result)
+        plots.posterior_histogram(result)
 
 
 def test_figures_leave_the_users_style_alone(fit: ww.WeberFit, tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
-    ax = figures.psychometric(fit, standard=1.0)
-    figures.figure_of(ax).savefig(tmp_path / "one.png")
+    ax = plots.psychometric(fit, standard=1.0)
+    plots.figure_of(ax).savefig(tmp_path / "one.png")
     assert dict(matplotlib.rcParams) == before
     own = Figure().subplots()
-    assert figures.psychometric(fit, own, standard=1.0) is own
+    assert plots.psychometric(fit, own, standard=1.0) is own
 
 
 def test_svg_files_are_repeatable(fit: ww.WeberFit, tmp_path: Path) -> None:
     for name in ("one.svg", "two.svg"):
-        figure = figures.figure_of(figures.psychometrics(fit))
+        figure = plots.figure_of(plots.psychometrics(fit))
         figure.savefig(tmp_path / name, metadata={"Date": None})
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
 
 
 def test_png_has_enough_dots(fit: ww.WeberFit) -> None:
-    assert figures.figure_of(figures.psychometric(fit, standard=1.0)).dpi >= 150
+    assert plots.figure_of(plots.psychometric(fit, standard=1.0)).dpi >= 150
 
 
 def test_residuals_outside_the_band_are_marked() -> None:
     table = pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3.0]})
-    ax = figures.residuals(table)
+    ax = plots.residuals(table)
     marked = next(line for line in ax.get_lines() if line.get_label() == "outside")
     np.testing.assert_array_equal(marked.get_xdata(), [2, 3])
     np.testing.assert_array_equal(marked.get_ydata(), [2.5, -3.0])
@@ -222,7 +222,7 @@ def population() -> ww.PopulationFit:
 
 def test_shrinkage_shows_every_animal_twice(population: ww.PopulationFit) -> None:
     fit = population
-    ax = figures.shrinkage(fit)
+    ax = plots.shrinkage(fit)
     table = fit.subjects.sort_values("alone")
     drawn = [bars.lines[0].get_xdata() for bars in ax.containers]
     np.testing.assert_allclose(drawn[0], table["alone"])
@@ -230,7 +230,7 @@ def test_shrinkage_shows_every_animal_twice(population: ww.PopulationFit) -> Non
 
 
 def test_every_animals_choices_and_curve_are_in_one_figure(population: ww.PopulationFit) -> None:
-    panel, beside = figures.population(population, unit="mm")
+    panel, beside = plots.population(population, unit="mm")
     assert [ax.get_xlabel() for ax in (panel, beside)] == ["Second stimulus (mm)", "Weber fraction"]
     curves = {line.get_label(): line for line in panel.get_lines() if "alone" in line.get_label()}
     assert list(curves) == [f"{name}, alone" for name in population.subjects["subject"]]
@@ -240,7 +240,7 @@ def test_every_animals_choices_and_curve_are_in_one_figure(population: ww.Popula
         cells = one.trials.cells()
         shares = [line for line in panel.get_lines() if line.get_linestyle() == "None"]
         assert any(np.array_equal(s.get_ydata(), cells.count / cells.n) for s in shares)
-    assert figures.population(population, Figure().subplots()).get_xlabel() == "Weber fraction"
+    assert plots.population(population, Figure().subplots()).get_xlabel() == "Weber fraction"
 
 
 def test_names_that_no_font_shows_are_drawn(
@@ -249,16 +249,16 @@ def test_names_that_no_font_shows_are_drawn(
     """Missing glyphs warn, and warnings are errors here; a pair of dollars would be a formula."""
     names = ["\x1b[31mred\x07", "\U0001f400 鼠\u200b", r"a$\frac{$ " + 60 * "b"]
     monkeypatch.setitem(population.subjects, "subject", names)
-    ax = figures.shrinkage(population)
-    figures.figure_of(ax).savefig(tmp_path / "one.png")
-    figures.figure_of(ax).savefig(tmp_path / "one.svg")
+    ax = plots.shrinkage(population)
+    plots.figure_of(ax).savefig(tmp_path / "one.png")
+    plots.figure_of(ax).savefig(tmp_path / "one.svg")
     drawn = {label.get_text() for label in ax.get_yticklabels()}
     assert {r"\x1b[31mred\x07", r"\U0001f400 \u9f20\u200b"} <= drawn
     assert max(map(len, drawn)) <= 26
 
 
 def test_pairs_show_the_draws(fit: ww.WeberFit) -> None:
-    grid = figures.pairs(fit)
+    grid = plots.pairs(fit)
     names = fit.parameters
     assert grid.shape == (len(names),) * 2
     assert not grid[0, 1].get_visible()
@@ -311,37 +311,37 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
          "moment_rate": observer().read(at[:, None] / 1e3, seed=1)[:, 0]}
     )  # fmt: skip
     return {
-        "bending": figures.bending(lines),
-        "calibrated": figures.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
-        "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
-        "information_map": figures.information_map(
+        "bending": plots.bending(lines),
+        "calibrated": plots.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
+        "comparison": plots.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
+        "information_map": plots.information_map(
             design.information(hypotheses, [10e-3, 20e-3, 30e-3], [-2e-3, 1e-3, 2e-3])
         ),
-        "jnd_lines": figures.jnd_lines(
+        "jnd_lines": plots.jnd_lines(
             ww.jnd_curve(force_map, contacts[::3, :1], [0.1, 0.2], n_readings=4, seed=1)
         ),
-        "jnd_surface": figures.jnd_surface(
+        "jnd_surface": plots.jnd_surface(
             linear_surface(moment_alone, 20), length=50e-3, weber_fraction=0.1
         ),
-        "located": figures.located(ww.locate(table, WHISKER)),
-        "pairs": figures.pairs(fit),
-        "place": figures.place(ww.place(all_of_them, touching)),
-        "placements": figures.placements(staircase),
-        "planned_jnds": figures.planned_jnds(plan),
-        "planned_power": figures.planned_power(plan),
-        "planned_psychometrics": figures.planned_psychometrics(plan),
-        "population": figures.population(population),
-        "posterior_histogram": figures.posterior_histogram(one),
-        "posteriors": figures.posteriors(many),
-        "power_curve": figures.power_curve(
+        "located": plots.located(ww.locate(table, WHISKER)),
+        "pairs": plots.pairs(fit),
+        "place": plots.place(ww.place(all_of_them, touching)),
+        "placements": plots.placements(staircase),
+        "planned_jnds": plots.planned_jnds(plan),
+        "planned_power": plots.planned_power(plan),
+        "planned_psychometrics": plots.planned_psychometrics(plan),
+        "population": plots.population(population),
+        "posterior_histogram": plots.posterior_histogram(one),
+        "posteriors": plots.posteriors(many),
+        "power_curve": plots.power_curve(
             ww.power(scheme, hypotheses, trials=[5, 10], runs=16, seed=1)
         ),
-        "psychometric": figures.psychometric(fit, standard=1.0),
-        "psychometrics": figures.psychometrics(fit),
-        "rehearsed": figures.rehearsed(SimpleNamespace(plan=plan, table=studied)),  # type: ignore[arg-type]
-        "residuals": figures.residuals(pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3]})),
-        "shrinkage": figures.shrinkage(population),
-        "whisker_array": figures.whisker_array(whiskers),
+        "psychometric": plots.psychometric(fit, standard=1.0),
+        "psychometrics": plots.psychometrics(fit),
+        "rehearsed": plots.rehearsed(SimpleNamespace(plan=plan, table=studied)),  # type: ignore[arg-type]
+        "residuals": plots.residuals(pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3]})),
+        "shrinkage": plots.shrinkage(population),
+        "whisker_array": plots.whisker_array(whiskers),
     }  # fmt: skip
 
 
@@ -349,16 +349,16 @@ def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
     """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
     no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
                   "plan_page", "shown", "styled"}  # fmt: skip
-    assert set(figures.__all__) - no_figures <= set(drawn)
+    assert set(plots.__all__) - no_figures <= set(drawn)
     found = {
-        name: faults(one if isinstance(one, Figure) else figures.figure_of(one))
+        name: faults(one if isinstance(one, Figure) else plots.figure_of(one))
         for name, one in drawn.items()
     }
     assert {name: bad for name, bad in found.items() if bad} == {}
 
 
 def test_what_cannot_be_read_is_found() -> None:
-    one = figures.new_figure()
+    one = plots.new_figure()
     ax = one.subplots()
     ax.plot([0, 1], [0, 1], label="a line")
     ax.legend(loc="upper right")

@@ -342,7 +342,7 @@ def test_fewer_whiskers_discriminate_worse() -> None:
 def test_every_chart_can_be_read(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gallery.Asked, "readings", lambda asked, times=1: 3)
     chart = gallery.CHARTS[name](gallery.Asked(short=True)).chart
-    assert faults(chart if isinstance(chart, Figure) else ww.figures.figure_of(chart)) == []
+    assert faults(chart if isinstance(chart, Figure) else ww.plots.figure_of(chart)) == []
 
 
 def test_a_chart_is_written_with_its_table(tmp_path: Path) -> None:

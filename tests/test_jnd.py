@@ -5,7 +5,7 @@ import pytest
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk.cues import (
     Compliance,
     ForceMap,
@@ -189,7 +189,7 @@ def test_whiskers_beyond_the_closed_form_have_that_of_the_straight_taper(cue):
     closed = weber_propagation(plain, [[8e-3, 0.15], [10e-3, 0.15]], model="closed_form")
     assert np.allclose(curve["closed_form"], closed)
     assert curve[["propagation", "fisher", "posterior"]].notna().all(axis=None)
-    drawn = figures.jnd_lines(curve).get_lines()
+    drawn = plots.jnd_lines(curve).get_lines()
     assert "8.594°: exact slope" in {line.get_label() for line in drawn}
 
 

@@ -64,8 +64,8 @@ TABLE: dict[str, tuple[str, ...]] = {
     "recordings": ("inference",),
     "behaviour": ("sensitivity", "recordings", "array"),
     "design": ("behaviour", "array"),
-    "figures": ("design",),
-    "": ("figures",),
+    "plots": ("design",),
+    "": ("plots",),
     "cli": ("_util.campaign",),
     "commands": ("", "cli"),
 }
@@ -75,7 +75,7 @@ ONLY_IN = {
     "arviz_base": "inference",
     "arviz_plots": "inference",
     "arviz_stats": "inference",
-    "matplotlib": "figures",
+    "matplotlib": "plots",
 }
 HEAVY = ("arviz", "emcee", "matplotlib", "pandas", "rich", "scipy.stats", "typer")
 
@@ -232,7 +232,7 @@ def test_the_table_goes_one_way() -> None:
         ("whisker.py", "__import__('weberwhisk.sensitivity')", "imports weberwhisk.sensitivity"),
         ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
         ("_util/checks.py", "from ..whisker import x", "checks.py imports weberwhisk.whisker"),
-        ("_util/output.py", "from ..figures import x", "output.py imports weberwhisk.figures"),
+        ("_util/output.py", "from ..plots import x", "output.py imports weberwhisk.plots"),
         ("cues/force_map.py", "from ..sensitivity import x", "imports weberwhisk.sensitivity"),
         (
             "mechanics/contact.py",
@@ -256,7 +256,7 @@ def test_the_table_goes_one_way() -> None:
         (
             "cli.py",
             "import matplotlib.pyplot as plt",
-            "matplotlib, which belongs in figures",
+            "matplotlib, which belongs in plots",
         ),
         ("inference/engine.py", "import matplotlib", "inference/engine.py imports matplotlib"),
         ("novelty.py", "", "novelty.py is not in the table"),
@@ -287,9 +287,9 @@ def test_a_good_tree_passes(tmp_path: Path) -> None:
         "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
         "inference/engine.py": "import emcee\nfrom .._util import checks\nfrom . import x",
         "inference/x.py": "import arviz.stats\nfrom weberwhisk.inference.observer import Observer",
-        "figures.py": "def f():\n    import matplotlib.pyplot",
+        "plots.py": "def f():\n    import matplotlib.pyplot",
         "_util/output.py": "from .. import __version__",
-        "commands/bend.py": "import weberwhisk as ww\nfrom .. import figures, cli",
+        "commands/bend.py": "import weberwhisk as ww\nfrom .. import cli, plots",
         "commands/fit.py": "from .._util import output",
     }
     assert offences(_fake(tmp_path, files)) == []

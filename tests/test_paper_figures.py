@@ -13,8 +13,8 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk._util.output import Run
-from weberwhisk.figures import figure_of
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.plots import figure_of
 
 paper, claims, script = (load(f"paper.{name}") for name in ("remade", "claims", "make"))
 gallery = load("gallery.make")

@@ -33,7 +33,7 @@ from weberwhisk.design import (
     taper,
     with_priors,
 )
-from weberwhisk.figures import placements
+from weberwhisk.plots import placements
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLAIN = Hypothesis("Weber", IdentityEncoding(), bias="shared")

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 from short_forms import short_or_full
 
-from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
+from weberwhisk import Observer, Whisker, plan_experiment, plots, read_plan, write_plan
 from weberwhisk._util.output import csv_text
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
 from weberwhisk.behaviour.encodings import ConstantNoise
@@ -581,7 +581,7 @@ def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
     small = plan.power[plan.power["trials"] <= trials / 2]
     assert small["power"].min() < 0.85
     assert "the aim is reached by" in plan.power_in_words()
-    ax = figures.planned_power(plan)
+    ax = plots.planned_power(plan)
     marked = [line.get_xdata()[0] for line in ax.get_lines() if len(set(line.get_xdata())) == 1]
     assert plan.scheme.n_trials in marked
 

@@ -29,7 +29,7 @@ from weberwhisk.design import (
 )
 from weberwhisk.design.experiment import NEITHER
 from weberwhisk.design.power_analysis import wilson
-from weberwhisk.figures import rehearsed
+from weberwhisk.plots import rehearsed
 
 C2 = Whisker.from_identity("C2")
 PLACES, LEVELS = [20e-3, 30e-3], [-2, -1, 1, 2]

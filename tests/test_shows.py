@@ -35,7 +35,7 @@ CELLS = {
     "posterior.plot();": "posterior = ww.posterior(tap, tap.read(30e-3, seed=1))",
     "population.plot()\nNone": "population = ww.fit_population("
     "ww.simulate_population(3, trials_per_level=10, seed=1)[0], bias='none')",
-    "ww.figures.psychometric(fit)": "",
+    "ww.plots.psychometric(fit)": "",
     "fit": "",
 }
 
@@ -163,7 +163,7 @@ def test_help_documents_the_function_also_after_its_package_was_imported() -> No
 
 def test_dir_has_all_public_names_and_no_others() -> None:
     names = set(dir(ww))
-    assert {"behaviour", "figures", "sweeping", "JNDCurve", "posterior", "cues"} <= names
+    assert {"behaviour", "plots", "sweeping", "JNDCurve", "posterior", "cues"} <= names
     assert [n for n in names if n.startswith("_")] == ["__version__"]
     assert names == {*ww.__all__, "__version__"}
 

@@ -8,7 +8,7 @@ from analysis_scripts import load
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk.sensitivity import fisher_jnd, jnd_curve, weber_propagation
 
 weber_2d = load("gallery.surveys")
@@ -67,7 +67,7 @@ def test_false_zeros_of_either_limit_are_where_the_other_slope_vanishes(name, ot
 
 def test_figure_4b_marks_the_contact_angle_of_90_degrees_and_the_false_zero():
     table = weber_2d.surface(K, weber_2d.NONE, 40)
-    ax = figures.jnd_surface(table, length=W.length, weber_fraction=K)
+    ax = plots.jnd_surface(table, length=W.length, weber_fraction=K)
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["contact angle of 90°", "false zero of the linear JND"]
     both = weber_2d.surface(*weber_2d.FAMILY["both alike"], 20)

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from . import behaviour as behaviour
     from . import cues as cues
     from . import design as design
-    from . import figures as figures
     from . import inference as inference
     from . import mechanics as mechanics
+    from . import plots as plots
     from . import receptors as receptors
     from . import recordings as recordings
     from ._util import campaign as campaign
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from .design import power as power
     from .design import read_plan as read_plan
     from .design import simulate_study as simulate_study
-    from .figures.designs import write_plan as write_plan
     from .inference import Posterior as Posterior
     from .inference import Status as Status
     from .inference import posterior as posterior
@@ -63,6 +62,7 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
+    from .plots.designs import write_plan as write_plan
     from .recordings import calibrate as calibrate
     from .recordings import read_tracking as read_tracking
     from .recordings import tracked_signals as tracked_signals
@@ -92,13 +92,13 @@ _NAMES = {
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
-    "figures.designs": "write_plan",
+    "plots.designs": "write_plan",
     "_util.output": "cite",
 }
 _MODULES = {
     name: name
-    for name in ("array", "behaviour", "cues", "design", "figures", "inference", "mechanics",
-                 "receptors", "recordings")
+    for name in ("array", "behaviour", "cues", "design", "inference", "mechanics",
+                 "plots", "receptors", "recordings")
 } | {"campaign": "_util.campaign", "sweeping": "inference.sweeping"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above

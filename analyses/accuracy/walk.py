@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk.inference.quadrature import TOLERANCE
 from weberwhisk.inference.tree import DROP, Tree
 
@@ -24,7 +24,7 @@ FIGURE = Path(__file__).parent.parent / "figures" / "walk.png"
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 
 
-@figures.styled
+@plots.styled
 def main() -> None:
     """Draw the walk."""
     parser = argparse.ArgumentParser(description=__doc__)

@@ -12,7 +12,7 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from weberwhisk import WhiskerArray
-from weberwhisk.figures.style import (
+from weberwhisk.plots.style import (
     COLOURS,
     DOUBLE,
     LINES,
@@ -28,7 +28,7 @@ from weberwhisk.figures.style import (
     new_figure,
     styled,
 )
-from weberwhisk.figures.whisks import from_above
+from weberwhisk.plots.whisks import from_above
 
 JND = "JND of distance (mm), d'=1"
 PUSH = "push since contact (°)"

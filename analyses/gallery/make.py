@@ -109,7 +109,7 @@ def figure_4a(asked: Asked) -> Made:
         observer = ww.Observer(whisker, ww.cues.Compliance(), ww.receptors.Weber(surveys.K))
         how: Any = {"method": "emcee", "n_readings": asked.readings(2), "seed": asked.seed}
         found[name] = ww.jnd_curve(observer, places, **how)
-    drawn = ww.figures.jnd_lines(found, length=W.length, weber_fraction=surveys.K)
+    drawn = ww.plots.jnd_lines(found, length=W.length, weber_fraction=surveys.K)
     tables = {name: curve.table for name, curve in found.items()}
     return _made("figure-4a", pd.concat(tables, names=["whisker"]).reset_index(), drawn)
 
@@ -117,7 +117,7 @@ def figure_4a(asked: Asked) -> Made:
 def figure_4b(asked: Asked) -> Made:
     """the paper's figure 4b: JND by the force map, with noise in the moment alone"""
     table = surveys.surface(surveys.K, surveys.NONE)
-    drawn = ww.figures.jnd_surface(table, length=W.length, weber_fraction=surveys.K)
+    drawn = ww.plots.jnd_surface(table, length=W.length, weber_fraction=surveys.K)
     return _made("figure-4b", table, drawn)
 
 
@@ -125,7 +125,7 @@ def jnd_surface(asked: Asked) -> Made:
     """figure 4b's surface by full posteriors, with noise in both signals (10 s)"""
     points, draws = 10 if asked.short else 30, min(asked.readings(), 100)
     table = surveys.posterior_surface(points, draws, seed=asked.seed)
-    drawn = ww.figures.jnd_surface(table, length=W.length, weber_fraction=surveys.K)
+    drawn = ww.plots.jnd_surface(table, length=W.length, weber_fraction=surveys.K)
     return _made("jnd-surface", table, drawn)
 
 

@@ -12,8 +12,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from weberwhisk import Outcome
-from weberwhisk.figures.contacts import fill_surface
-from weberwhisk.figures.style import (
+from weberwhisk.plots.contacts import fill_surface
+from weberwhisk.plots.style import (
     COLOURS,
     DOUBLE,
     LINES,

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from weberwhisk.figures.style import (
+from weberwhisk.plots.style import (
     DOUBLE,
     SMALL,
     axes_or_new,

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from weberwhisk.figures.style import (
+from weberwhisk.plots.style import (
     COLOURS,
     DOUBLE,
     LINES,

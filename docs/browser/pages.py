@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import plots
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.words import preregistration
@@ -71,7 +71,7 @@ def jnd(fields: Fields) -> Shown:
     return {
         "texts": [_text("In words", sentence)],
         "figures": [
-            _figure("JND of radial distance, felt in a light tap", figures.jnd_lines(curves)),
+            _figure("JND of radial distance, felt in a light tap", plots.jnd_lines(curves)),
             _figure("Force map: what the base feels of a contact", _force_map(whisker)),
         ],
         "tables": [_table("The curve", table)],
@@ -138,7 +138,7 @@ def fit(fields: Fields) -> Shown:
         ],
     }
     if trials.n_trials:
-        drawn = figures.psychometrics(found, unit="mm" if encoding else "")
+        drawn = plots.psychometrics(found, unit="mm" if encoding else "")
         shown["figures"] = [_figure("Choices, and the fitted curves with 95 % bands", drawn)]
     return shown
 
@@ -170,8 +170,8 @@ def plan(fields: Fields) -> Shown:
         "texts": [_text("Size", size), _text("For a preregistration", text) | {"folded": True}],
         "figures": [
             _figure("What a typical animal is expected to answer",
-                    figures.planned_psychometrics(made)),
-            _figure("Expected JND along the whisker", figures.planned_jnds(made)),
+                    plots.planned_psychometrics(made)),
+            _figure("Expected JND along the whisker", plots.planned_jnds(made)),
         ],
         "tables": [
             _table("Levels", made.levels),
@@ -225,23 +225,21 @@ def _together(trials: ww.Trials, encoding: CueEncoding | None) -> Shown:
         "files": [_file("animals.csv", found.subjects.to_csv(index=False))],
     }
     if found.population is not None:
-        shown["figures"] = [
-            _figure("Each animal, alone and among others", figures.shrinkage(found))
-        ]
+        shown["figures"] = [_figure("Each animal, alone and among others", plots.shrinkage(found))]
     return shown
 
 
-@figures.styled
+@plots.styled
 def _force_map(whisker: ww.Whisker) -> Any:
     """Moment against axial force: lines of one distance, crossed by lines of one deflection."""
-    ax = figures.new_figure(4.2, 2.8).subplots()
+    ax = plots.new_figure(4.2, 2.8).subplots()
     distances = np.linspace(0.3, 0.9, 5) * whisker.length
     degrees, crossing = np.geomspace(0.5, 40.0, 80), (2, 5, 10, 20)
     bent = ww.press(whisker, distances[:, None], np.radians(degrees))
     for i, distance in enumerate(distances):
         name = f"r = {distance * 1e3:.3g} mm"
-        ax.plot(bent.axial_force[i] * 1e6, bent.moment[i] * 1e9, color=figures.COLOURS[i],
-                linestyle=figures.LINES[i % len(figures.LINES)], label=name)  # fmt: skip
+        ax.plot(bent.axial_force[i] * 1e6, bent.moment[i] * 1e9, color=plots.COLOURS[i],
+                linestyle=plots.LINES[i % len(plots.LINES)], label=name)  # fmt: skip
     along = ww.press(
         whisker, np.linspace(0.3, 0.9, 60) * whisker.length, np.radians(crossing)[:, None]
     )
@@ -274,7 +272,7 @@ def _text(title: str, body: str) -> Shown:
 
 def _figure(title: str, drawn: Any) -> Shown:
     svg = io.StringIO()
-    figures.figure_of(drawn).savefig(svg, format="svg", metadata={"Date": None})
+    plots.figure_of(drawn).savefig(svg, format="svg", metadata={"Date": None})
     return {"title": title, "svg": svg.getvalue()}
 
 

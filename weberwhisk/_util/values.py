@@ -134,7 +134,7 @@ class Shown:
     """Base of results that show themselves.
 
     A result says what it found in `_line` and has its numbers in `_table`; `_figure` names the
-    function of `weberwhisk.figures` that draws it. Those stand above all results, so that the
+    function of `weberwhisk.plots` that draws it. Those stand above all results, so that the
     package is asked for them, and no result imports a figure.
     """
 
@@ -160,7 +160,7 @@ class Shown:
         return line + table.to_html(max_rows=12, float_format="{:.4g}".format, na_rep="–")
 
     def plot(self, ax: Axes | None = None, **options: object) -> Figure:
-        """Draw it with its function of `weberwhisk.figures`; see there for further options.
+        """Draw it with its function of `weberwhisk.plots`; see there for further options.
 
         Without `ax` on a figure of its own, which `pyplot` knows: a notebook shows it, and
         `plt.show()` does in a script.
@@ -169,8 +169,8 @@ class Shown:
         -------
         matplotlib.figure.Figure
         """
-        figures = sys.modules[__name__.partition(".")[0]].figures
-        drawn: Figure = figures.shown(getattr(figures, self._figure), self, ax, options)
+        plots = sys.modules[__name__.partition(".")[0]].plots
+        drawn: Figure = plots.shown(getattr(plots, self._figure), self, ax, options)
         return drawn
 
 

@@ -217,7 +217,7 @@ def simulate(
                     trials, encoding=encoding, effects=[e for e, _ in effects],
                     priors={"weber_fraction": weber_fraction, **free},
                 )  # fmt: skip
-                run.figure("trials", ww.figures.psychometrics(exact, unit=unit))
+                run.figure("trials", ww.plots.psychometrics(exact, unit=unit))
     lines = [] if whisker is None else [opt.whisker_line(whisker)]
     noise = f"Weber fraction {weber_fraction:g}" if fittable else "constant noise of the cue's own"
     many = "" if animals is None else f" of {subjects} animals"
@@ -333,4 +333,4 @@ def next_trials(
         table = placer.trials().table()
         run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
         if run.out_dir is not None and len(table):
-            run.figure("trials", ww.figures.placements(placer))
+            run.figure("trials", ww.plots.placements(placer))

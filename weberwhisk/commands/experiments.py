@@ -20,7 +20,7 @@ from ..cli import numbers
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.words import assumptions, offsets_in_words
-from ..figures.designs import fill
+from ..plots.designs import fill
 from ..recordings.files import load_table
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def rehearse(
         run.table("rehearsal_summary", summary)
         if run.out_dir is not None:
             atomic_write(run.path("rehearsal.txt"), found.report())
-            run.figure("rehearsal", ww.figures.rehearsed(found))
+            run.figure("rehearsal", ww.plots.rehearsed(found))
     if stream is not None:
         stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
     answer = {"goal": str(plan.goal), "rows": summary.to_dict("records")}

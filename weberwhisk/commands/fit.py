@@ -160,7 +160,7 @@ def fit(
             atomic_write(run.path("fit_report.txt"), report)
             if result.status is not FitStatus.NO_TRIALS:
                 unit = "mm" if encoding else ""
-                run.figure("psychometric", ww.figures.psychometrics(result, unit=unit))
+                run.figure("psychometric", ww.plots.psychometrics(result, unit=unit))
     lines = [report]
     if whisker is not None:
         lines.insert(0, f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
@@ -265,8 +265,8 @@ def _fit_together(
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
                 unit = "mm" if options["encoding"] else ""
-                run.figure("shrinkage", ww.figures.shrinkage(found))
-                run.figure("population", ww.figures.population(found, unit=unit))
+                run.figure("shrinkage", ww.plots.shrinkage(found))
+                run.figure("population", ww.plots.population(found, unit=unit))
     if as_json:
         print(found.to_json())
         return

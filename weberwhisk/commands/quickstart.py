@@ -67,7 +67,7 @@ def curves(
     tables = {name: curve.table for name, curve in found.items()}
     table = pd.concat(tables, names=["whisker"]).reset_index()
     run.table("jnd_curve", table.assign(posterior_by_quadrature_mm=np.concatenate(checks) * 1e3))
-    run.figure("jnd_curve", ww.figures.jnd_lines(found, length=whisker.length, weber_fraction=k))
+    run.figure("jnd_curve", ww.plots.jnd_lines(found, length=whisker.length, weber_fraction=k))
     return {name: _compared(curve, exact[name], whisker, k) for name, curve in found.items()}
 
 
@@ -127,7 +127,7 @@ def jnd_surface(
             advance()
     points = ww.JNDCurve.joined(parts).table.reset_index()
     run.table("jnd_surface_posteriors", points)
-    shown = ww.figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
+    shown = ww.plots.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
     run.figure("jnd_surface", shown)
     scale = whisker.length * k
     along = moment_dominated(whisker, k)
@@ -179,7 +179,7 @@ def rat_choices(
     run.table("rat_choices", seen)
     run.table("rat_fit", fit.summary().reset_index())
     atomic_write(run.path("rat_report.txt"), fit.report())
-    run.figure("rat_psychometric", ww.figures.psychometrics(fit))
+    run.figure("rat_psychometric", ww.plots.psychometrics(fit))
     step = float(np.median(np.abs(seen["stimulus_2"] - seen["stimulus_1"])))
     louder = seen["stimulus_2"] > seen["stimulus_1"]
     right = seen["observed"].where(louder, 1 - seen["observed"])

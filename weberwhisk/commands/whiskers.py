@@ -117,7 +117,7 @@ def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: s
     call = ww.press if by_place else ww.bend
     curves = call(whisker, places[:, None], steps, model=model)
     marked = call(whisker, places[:, None], np.unique(load), model=model)
-    return ww.figures.bending(curves, points=marked, against=against)
+    return ww.plots.bending(curves, points=marked, against=against)
 
 
 @opt.command
@@ -161,7 +161,7 @@ def jnd(
         written["radial_distance_mm"] = np.tile(asked, max(angles.size, 1))
         run.table("jnd", written)
         if run.out_dir is not None:
-            run.figure("jnd", ww.figures.jnd_lines(curve))
+            run.figure("jnd", ww.plots.jnd_lines(curve))
     notes = [f"Every column of lengths is a JND of radial distance, criterion {criterion}."]
     bad = written["unreliable"].fillna(0.0)
     if (bad > 0).any():
@@ -297,9 +297,9 @@ def locate(
             names = [touch, *(c for c in table.columns if c.startswith("touch_") and c != touch)]
             run.table("touches", own[names].drop_duplicates(touch))
         if run.out_dir is not None:
-            run.figure("located", ww.figures.located(table, against=time, by=touch or ""))
+            run.figure("located", ww.plots.located(table, against=time, by=touch or ""))
             if touch is not None:
-                run.figure("touches", ww.figures.located(table, against=touch, by=touch))
+                run.figure("touches", ww.plots.located(table, against=touch, by=touch))
     if taps is not None:
         whisker = by.whisker
     notes, few = (*heard, *table.attrs["notes"]), table.head(20).drop(columns="message")
@@ -349,7 +349,7 @@ def calibrate(
         run.table("residuals", found.residuals)
         run.table("left_out", found.left_out)
         if run.out_dir is not None:
-            run.figure("calibration", ww.figures.calibrated(found))
+            run.figure("calibration", ww.plots.calibrated(found))
     answer = {
         "whisker": opt.describe(found.whisker), "message": found.message,
         "parameters": parameters.to_dict("records"), "p_value": found.p_value,

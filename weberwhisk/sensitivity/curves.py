@@ -266,7 +266,7 @@ def linear_surface(observer: Observer, points: int = 90) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        As `figures.jnd_surface` takes it. Where one signal alone is noisy there is
+        As `plots.jnd_surface` takes it. Where one signal alone is noisy there is
         ``signed_jnd_mm``: to first order an error of that signal moves r by the slope of the
         *other* in θ_d over the Jacobian; where that slope passes through zero the signed JND does,
         a false zero that no posterior has.
