@@ -11,7 +11,7 @@ import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import BalanceOfMoments, Cue
 from weberwhisk.mechanics import closed_form
-from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import GeneralisedWeber
 from weberwhisk.sensitivity import prior_draws, weber_propagation
 
@@ -36,26 +36,6 @@ def test_it_keeps_the_protocol(cue):
     signals, outcome = cue.signals(W, contact)
     assert signals.shape == (100, len(cue.signal_names))
     assert np.array_equal(np.isfinite(signals).all(axis=1), outcome == Outcome.HELD)
-
-
-@pytest.mark.parametrize(
-    ("curve", "impact", "whisker"),
-    [
-        pytest.param(curve, impact, whisker, marks=[pytest.mark.slow] * ((i + j + k) % 3 > 0))
-        for i, curve in enumerate(MuscleCurve)
-        for j, impact in enumerate([35, 60, 120, 145])
-        for k, whisker in enumerate([W, W.cylinder(), ww.Whisker(50e-3, 1e-4, 0.0)])
-    ],
-)
-def test_angle_and_outcome_are_those_of_the_step_by_step_search(whisker, impact, curve):
-    """`moment_balance` looks for the first crossing in 200 steps, on the elastica itself."""
-    cue = BalanceOfMoments(np.radians(impact), curve=curve, effort=0.5)
-    r = np.linspace(0.02, 1.02, 41) * whisker.length
-    expected = moment_balance(whisker, r, np.radians(impact), curve=curve, gain=2 * cue.gain)
-    angle, outcome = cue.signals(whisker, r[:, None])
-    names = [Outcome(k).name.replace("HELD", "BALANCED") for k in outcome]
-    assert names == [Balance(k).name for k in expected.outcome]
-    assert np.allclose(angle[:, 0], expected.balance_angle, rtol=1e-7, equal_nan=True)
 
 
 @pytest.mark.parametrize("cue", [KNOWN, LATE], ids=repr)

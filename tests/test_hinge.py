@@ -287,7 +287,6 @@ CLAMPED_ONLY = {
     "rod": lambda: mechanics.rod.press(W, [30e-3, 5e-3, 0.0]),
     "sweep": lambda: ww.sweep(W, mechanics.peg(30e-3, 0.0), [0.0, 0.1]),
     "modes": lambda: mechanics.modes.modes(W),
-    "balance": lambda: mechanics.moment_balance(W, 30e-3, 1.0),
     "moment": lambda: closed_form.moment(W, 30e-3, 0.1),
     "slopes": lambda: closed_form.signal_jacobian(W, 30e-3, 0.1),
     "distance": lambda: closed_form.distance_from_moment(W, 1e-6, 0.1),

@@ -13,7 +13,8 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk._util.output import Run
-from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.cues import BalanceOfMoments
+from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.plots import figure_of
 
 paper, claims, script = (load(f"paper.{name}") for name in ("remade", "claims", "make"))
@@ -82,20 +83,20 @@ def test_2f_the_cylinders_map_is_the_parabola():
 
 
 def test_3a_of_four_distances_two_are_held_and_two_flick_past():
-    outcome = moment_balance(W, np.array([0.3, 0.5, 0.7, 0.9]) * W.length, IMPACT).outcome
-    assert [Balance(k).name for k in outcome] == ["BALANCED"] * 2 + ["FLICKED_PAST"] * 2
+    place = np.array([[0.3], [0.5], [0.7], [0.9]]) * W.length
+    _, outcome = BalanceOfMoments(IMPACT).signals(W, place)
+    assert [ww.Outcome(k).name for k in outcome] == ["HELD"] * 2 + ["FLICKED_PAST"] * 2
 
 
 @pytest.mark.parametrize("curve", MuscleCurve)
 def test_3b_the_angle_of_balance_grows_with_distance_from_any_impact(curve):
-    impact = np.radians(np.linspace(30, 140, 9))[:, None]
-    share = np.linspace(0.3, 1.0, 60)
-    b = moment_balance(W, share * W.length, impact, curve=curve)
-    for row, outcome in zip(b.balance_angle, b.outcome, strict=True):
-        held = np.flatnonzero(outcome == Balance.BALANCED)
+    place = np.linspace(0.3, 1.0, 60)[:, None] * W.length
+    for impact in np.radians(np.linspace(30, 140, 9)):
+        angle, outcome = BalanceOfMoments(impact, curve=curve).signals(W, place)
+        held = np.flatnonzero(outcome == ww.Outcome.HELD)
         assert held.size > 1
         assert np.all(np.diff(held) == 1)
-        assert np.all(np.diff(row[held]) > 0)
+        assert np.all(np.diff(angle[held, 0]) > 0)
 
 
 @pytest.mark.parametrize(("curve", "end"), [("printed", 0.6970), ("normalised", 0.6970)])
@@ -108,12 +109,13 @@ def test_3b_the_curve_ends_at_around_70_per_cent(curve, end):
 
 def test_3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above():
     share = np.linspace(0.3, 0.98, 25)
-    impact = np.radians(np.linspace(30, 150, 41))[:, None]
-    outcome = moment_balance(W, share * W.length, impact).outcome
+    impact = np.radians(np.linspace(30, 149, 41))
+    place = share[:, None] * W.length
+    outcome = np.stack([BalanceOfMoments(angle).signals(W, place)[1] for angle in impact])
     flick = ww.flick_past(W, share * W.length).deflection_angle
-    below = impact + flick <= np.radians(150)
-    early = np.isin(outcome, [Balance.FLICKED_PAST, Balance.SLIPPED_OFF_TIP])
-    late = outcome == Balance.END_OF_WHISKING
+    below = impact[:, None] + flick <= np.radians(150)
+    early = np.isin(outcome, [ww.Outcome.FLICKED_PAST, ww.Outcome.SLIPPED_OFF_TIP])
+    late = outcome == ww.Outcome.END_OF_WHISKING
     assert early.any()
     assert late.any()
     assert np.all(below[early])

@@ -29,6 +29,7 @@ from weberwhisk import (
 )
 from weberwhisk.cues import (
     AngleSideAngle,
+    BalanceOfMoments,
     ComparativeLength,
     Compliance,
     ForceMap,
@@ -37,13 +38,14 @@ from weberwhisk.cues import (
 )
 from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, cylinder
-from weberwhisk.mechanics.muscle import MuscleCurve, moment_balance
+from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation
 
 Array = np.ndarray
 L = float(WHISKER.length)
 CYLINDER = WHISKER.cylinder()
+BALANCE = BalanceOfMoments(remade.IMPACT)
 SHARES = np.linspace(0.05, 0.95, 19)
 
 
@@ -223,13 +225,13 @@ def flick_past_at() -> str:
 
 
 def two_of_four() -> str:
-    outcome = moment_balance(WHISKER, np.array(remade.SHOWN) * L, remade.IMPACT).outcome
+    _, outcome = BALANCE.signals(WHISKER, np.array(remade.SHOWN)[:, None] * L)
     held = int(np.sum(outcome == 0))
     return f"at 0.3, 0.5, 0.7, 0.9 L: {held} balance, {len(outcome) - held} flick past"
 
 
 def balance_monotonic() -> str:
-    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, remade.IMPACT).balance_angle
+    b = BALANCE.signals(WHISKER, np.linspace(0.3, 0.69, 100)[:, None] * L)[0][:, 0]
     low, high = np.degrees(b[[0, -1]])
     falls = int(np.sum(np.diff(b) <= 0))
     return f"from {low:.1f}° at 0.3 L to {high:.1f}° at 0.69 L, with {falls} falls in 99 steps"
@@ -238,7 +240,7 @@ def balance_monotonic() -> str:
 def white_areas() -> str:
     grid = remade.surface(
         MuscleCurve.NORMALISED, remade.DISTANCES[::10], remade.IMPACTS[::10]
-    ).query("outcome != 'BALANCED'")
+    ).query("outcome != 'HELD'")
     share, angle = remade.dashed_line()
     below = grid["impact_angle_deg"] <= np.interp(grid["radial_distance"], share, angle) + 1e-9
     wrong = int((below == (grid["outcome"] == "END_OF_WHISKING")).sum())

@@ -129,7 +129,7 @@ def paper_3(
     figure = new_figure(DOUBLE, 2.9)
     a, b, c = figure.subplots(1, 3)
     a.plot(muscle["angle_deg"], muscle["moment"], "--", color="0.0", label="muscle, (2.2)")
-    held = angles[angles["outcome"] == "BALANCED"]
+    held = angles[angles["outcome"] == "HELD"]
     first = held[held["curve"] == held["curve"].iloc[0]]
     for i, (share, rows) in enumerate(moments.groupby("radial_distance")):
         a.plot(rows["angle_deg"], rows["moment"], **look(i, label=f"r = {share:g} L"))

@@ -24,8 +24,8 @@ from gallery.surveys import WHISKER
 from scipy.integrate import solve_ivp
 
 from weberwhisk import Bending, Outcome, Whisker, bend, flick_past, press
-from weberwhisk.cues import Compliance
-from weberwhisk.mechanics.muscle import WHISKING, Balance, MuscleCurve, moment_balance
+from weberwhisk.cues import BalanceOfMoments, Compliance
+from weberwhisk.mechanics.muscle import WHISKING, MuscleCurve
 
 Array = np.ndarray
 CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
@@ -228,8 +228,8 @@ def curve_end(curve: MuscleCurve) -> float:
     low, high = 0.3, 1.0
     for _ in range(5):
         share = np.linspace(low, high, 33)
-        b = moment_balance(WHISKER, share * WHISKER.length, IMPACT, curve=curve)
-        last = int(np.flatnonzero(b.outcome == Balance.BALANCED)[-1])
+        outcome = _balances(curve, share, np.degrees(IMPACT))["outcome"]
+        last = int(np.flatnonzero(outcome == "HELD")[-1])
         low, high = share[last], share[last + 1]
     return float(low)
 
@@ -243,14 +243,20 @@ def surface(
 
 def _balances(curve: MuscleCurve, share: Array, degrees: float | Array) -> pd.DataFrame:
     """θ_b and the outcome at distances over L and impact angles."""
-    b = moment_balance(WHISKER, share * WHISKER.length, np.radians(degrees), curve=curve)
-    table = _table(
-        curve=curve.value,
-        radial_distance=share,
-        impact_angle_deg=degrees,
-        balance_angle_deg=np.degrees(b.balance_angle),
-    )
-    return table.assign(outcome=_names(Balance, b.outcome))
+    tables = []
+    for impact in np.ravel(degrees):
+        # An impact where whisking ends leaves no room to push: one just before stands for it.
+        angle = min(np.radians(impact), WHISKING[1] - 1e-9)
+        cue = BalanceOfMoments(angle, curve=curve)
+        theta, outcome = cue.signals(WHISKER, (share * WHISKER.length)[:, None])
+        table = _table(
+            curve=curve.value,
+            radial_distance=share,
+            impact_angle_deg=impact,
+            balance_angle_deg=np.degrees(theta[:, 0]),
+        )
+        tables.append(table.assign(outcome=_names(Outcome, outcome)))
+    return pd.concat(tables, ignore_index=True)
 
 
 def dashed_line() -> tuple[Array, Array]:

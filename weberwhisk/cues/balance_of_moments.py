@@ -44,7 +44,7 @@ class BalanceOfMoments(Cue):
     curve : MuscleCurve
         Which curve of the largest muscle moment.
     gain, separation, whisking
-        As for `moment_balance`: muscle units per EI₀/L, w of equation (2.2), the range of
+        Muscle units per EI₀/L (default `MuscleCurve.gain`), w of equation (2.2), the range of
         follicle angles (rad).
 
     Raises

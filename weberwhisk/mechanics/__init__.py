@@ -16,8 +16,8 @@ from .ladder import bend, flick_past, press, signal_jacobian
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import choose_model
-    from .modes import Modes, impulse_response
-    from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
+    from .modes import Modes
+    from .muscle import MuscleCurve
     from .objects import Sweep, sweep
     from .profile import rest_angle
     from .rod import RodBending
@@ -32,17 +32,15 @@ _HOME = {
     "rod": ("RodBending",),
     "touch": ("Body", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
-    "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "modes": ("Modes", "impulse_response"),
+    "muscle": ("MuscleCurve",),
+    "modes": ("Modes",),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
-    "Balance", "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MomentBalance",
-    "MuscleCurve", "Outcome", "Parabola", "Profile", "RodBending", "Spiral",
-    "Sweep", "bend", "choose_model", "closed_form", "cylinder",
-    "elastica", "flick_past", "impulse_response", "modes", "moment_balance", "peg", "press",
-    "profile", "rest_angle", "rod", "signal_jacobian", "sweep",
-    "wall",
+    "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MuscleCurve", "Outcome",
+    "Parabola", "Profile", "RodBending", "Spiral", "Sweep", "bend", "choose_model",
+    "closed_form", "cylinder", "elastica", "flick_past", "modes", "peg", "press",
+    "profile", "rest_angle", "rod", "signal_jacobian", "sweep", "wall",
 ]  # fmt: skip
 
 

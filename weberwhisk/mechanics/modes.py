@@ -1,4 +1,4 @@
-"""Small vibrations: natural frequencies, mode shapes, damping, and the response to an impulse.
+"""Small vibrations: natural frequencies and mode shapes.
 
 §2d. An Euler–Bernoulli cantilever, clamped at the base and free at the tip,
 
@@ -7,8 +7,8 @@
 of any profile: Rayleigh–Ritz on twice integrated Legendre polynomials (the curvature is a
 polynomial), over the pieces' own Gauss points. The basis meets the clamped end exactly and the
 free end by itself, so that the frequencies converge from above, exponentially for a whisker of
-one piece, and a perfect cone needs no special case. Damping is given as one ratio a mode;
-intrinsic curvature is left out, as whiskers are nearly straight over a mode's wavelength.
+one piece, and a perfect cone needs no special case. Intrinsic curvature is left out, as whiskers
+are nearly straight over a mode's wavelength.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
-from .._util.checks import finite, non_negative, whole
+from .._util.checks import finite, whole
 from .._util.values import Array
 from ..whisker import Whisker
 from .shape import Profile
@@ -36,8 +36,6 @@ class Modes:
     ----------
     angular_frequency : array, shape (n,)
         Undamped ω, rad/s.
-    damping_ratio : array, shape (n,)
-        Share of critical damping ζ.
     error : array, shape (n,)
         Estimated relative error of the frequencies, from a basis of three quarters the size.
     coefficients : array, shape (n, basis)
@@ -46,7 +44,6 @@ class Modes:
     """
 
     angular_frequency: Array
-    damping_ratio: Array
     error: Array
     coefficients: Array
     profile: Profile
@@ -101,12 +98,7 @@ class Modes:
         return np.asarray(self.coefficients @ values / length**order).reshape(-1, *s.shape)
 
 
-def modes(
-    whisker: Whisker | Profile,
-    count: int = 5,
-    *,
-    damping_ratio: ArrayLike = 0.0,
-) -> Modes:
+def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
     """The first natural frequencies and mode shapes of one whisker.
 
     Parameters
@@ -115,8 +107,6 @@ def modes(
         One whisker: scalar fields.
     count : int
         How many modes, up to 12.
-    damping_ratio : float or array, shape (count,)
-        Share of critical damping of each mode, 0 ≤ ζ < 1.
 
     Returns
     -------
@@ -125,7 +115,7 @@ def modes(
     Raises
     ------
     ValueError
-        For several whiskers at once, a count outside 1 to 12, and overdamped modes.
+        For several whiskers at once, and a count outside 1 to 12.
 
     Examples
     --------
@@ -136,19 +126,13 @@ def modes(
     profile = one_profile(whisker, "modes")
     if not 1 <= (count := whole("count", count, "write count=5", least=0)) <= 12:
         raise ValueError(f"count must be 1 to 12, got {count}; write count=5.")
-    zeta = non_negative("damping_ratio", damping_ratio, "give a share of critical, such as 0.1")
-    if np.any(zeta >= 1) or zeta.shape not in ((), (count,)):
-        raise ValueError(
-            f"damping_ratio must be below 1, one for all modes or one each, got {zeta.tolist()}; "
-            "write damping_ratio=0.1."
-        )
     pieces = int(np.sum(np.diff(profile.arc) > 0))
     size = BASIS if pieces == 1 else BASIS + 10
     omega, vectors = ritz(profile, size, count)
     coarse, _ = ritz(profile, 3 * size // 4, count)
     error = np.abs(coarse / omega - 1) + 1e-12
     vectors = vectors * np.sign(basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
-    return Modes(omega, np.broadcast_to(zeta, (count,)).astype(float), error, vectors.T, profile)
+    return Modes(omega, error, vectors.T, profile)
 
 
 def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
@@ -203,72 +187,3 @@ def basis(x: Array, size: int, order: int) -> Array:
     for _ in range(2 - order):
         series = legendre.legint(series, lbnd=-1, axis=0) / 2
     return np.asarray(series.T @ legendre.legvander(2 * x - 1, len(series) - 1).T)
-
-
-@dataclass(frozen=True, eq=False)
-class Ringing:
-    """What an impulse leaves at the base.
-
-    Attributes
-    ----------
-    time : array, shape (t,)
-        s after the impulse.
-    moment, transverse_force : array, shape (..., t)
-        At the base, N m and N.
-    amplitude : array, shape (..., n)
-        Velocity of each modal coordinate just after the impulse, J φ_n(r): its spectral signature.
-    """
-
-    time: Array
-    moment: Array
-    transverse_force: Array
-    amplitude: Array
-
-
-def impulse_response(
-    modes: Modes, arc_length: ArrayLike, time: ArrayLike, impulse: ArrayLike = 1.0
-) -> Ringing:
-    """Base signals after an impulse at a point of the whisker at rest.
-
-    The sum over the modes at hand of damped sinusoids, each excited by its shape at that point. The
-    signals are those of the whisker's bending, EI y″ and (EI y″)′; damping adds nothing of its own.
-
-    Parameters
-    ----------
-    modes : Modes
-    arc_length : float or array (...)
-        Where it is struck, m.
-    time : array (t,)
-        s.
-    impulse : float or array (...)
-        N s.
-
-    Returns
-    -------
-    Ringing
-
-    Raises
-    ------
-    ValueError
-        For a place off the whisker or a time that is not finite.
-
-    Examples
-    --------
-    >>> m = modes(Whisker(50e-3, 100e-6, 5e-6, 3e9), 3, damping_ratio=0.1)
-    >>> ring = impulse_response(m, 20e-3, np.linspace(0, 0.05, 5), impulse=1e-9)
-    >>> ring.moment.shape
-    (5,)
-    """
-    t = finite("time", time, "give seconds").reshape(-1)
-    push = finite("impulse", impulse, "give newton seconds, such as 1e-9")
-    struck = np.moveaxis(modes.shape(arc_length), 0, -1) * push[..., None]
-    zeta, omega = modes.damping_ratio[:, None], modes.angular_frequency[:, None]
-    damped = omega * np.sqrt(1 - zeta**2)
-    waves = np.where(t >= 0, np.exp(-zeta * omega * np.maximum(t, 0)) * np.sin(damped * t), 0.0)
-    waves = waves / damped
-    return Ringing(
-        t,
-        struck @ (modes.base_moment[:, None] * waves),
-        struck @ (modes.base_shear[:, None] * waves),
-        struck,
-    )
