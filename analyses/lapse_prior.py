@@ -363,7 +363,7 @@ TEXT = """# The belief about lapses, and what it costs
 Made by `lapse_prior.py`: {sets} animals for each of eight designs of training and of eight that
 were held out, {animals} a part. In every table the first four columns are the training animals, the
 next four those held out. The posterior is summed on a plain grid, which gives what `fit_weber`
-gives (`tests/test_lapse_prior.py` holds both to it).
+gives (`tests/analyses/test_lapse_prior.py` holds both to it).
 
 A lapse and a poor Weber fraction explain the same errors, so what is believed about lapses moves k,
 and no belief suits all animals: one that expects few is best where there are few, and 20 to 30 %

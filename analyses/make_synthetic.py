@@ -2,8 +2,8 @@
 
     python analyses/make_synthetic.py [folder]
 
-The same bytes come out every time; `tests/test_data_synthetic.py` holds it to that, and every table
-to what is expected of its fit.
+The same bytes come out every time; `tests/analyses/test_data_synthetic.py` holds it to that, and
+every table to what is expected of its fit.
 """
 
 from __future__ import annotations

@@ -187,7 +187,7 @@ rest is the lapse prior's share. The exact grid is the same posterior summed on 
 
 Counts whose probability is drawn anew at each level (beta, intraclass correlation 0.05), k = 0.1,
 lapses 0.02. With the effect `Overdispersion` the intervals must hold k in 92 % or more. With the
-lapses known `tests/test_effects.py` holds it, 400 sets of 297 trials.
+lapses known `tests/behaviour/test_effects.py` holds it, 400 sets of 297 trials.
 
 {scattered}
 """

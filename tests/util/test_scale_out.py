@@ -22,7 +22,7 @@ from weberwhisk._util.campaign import CampaignError, run
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, taper
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PAIR = taper(WHISKER)

@@ -32,7 +32,7 @@ def relative(bent, reference):
 
 
 def straight_references():
-    path = Path(__file__).parent / "data" / "elastica_points.csv"
+    path = Path(__file__).parents[1] / "data" / "elastica_points.csv"
     with path.open() as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
     rows = [r for r in rows if r["curvature"] == 0 and r["friction_angle"] == 0]

@@ -29,7 +29,7 @@ import weberwhisk as ww
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "data_synthetic" / "distance_tapered.csv"
 SLOW = 300_000  # ms; Python and its packages are some 45 MB of WebAssembly to compile
 

@@ -20,7 +20,7 @@ from weberwhisk.mechanics.shape import Parabola, Profile, Spiral
 from weberwhisk.whisker import Whisker
 
 POINTS = np.genfromtxt(
-    Path(__file__).with_name("data") / "elastica_points.csv", delimiter=",", names=True
+    Path(__file__).parents[1] / "data" / "elastica_points.csv", delimiter=",", names=True
 )
 SIGNALS = ("moment", "axial_force", "transverse_force", "contact_angle")
 STRAIGHT = Whisker(50e-3, 100e-6, 5e-6, 3e9)

@@ -24,7 +24,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 BROWSER, DATA = ROOT / "docs" / "browser", ROOT / "data_synthetic"
 WHISKER = {"length_mm": "50", "base_radius_um": "100", "tip_radius_um": "5"}
 

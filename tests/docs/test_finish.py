@@ -25,7 +25,7 @@ from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.session import bpod_table, psychopy_tables
 from weberwhisk.design.words import preregistration
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.once

@@ -21,7 +21,7 @@ import pytest
 from weberwhisk._util.campaign import CampaignError, read, run
 from weberwhisk._util.log import Log
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]
 
 

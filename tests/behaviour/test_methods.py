@@ -14,7 +14,7 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk.behaviour import CueEncoding, effects, methods_paragraph
 
-DATA = Path(__file__).parents[1] / "data_synthetic"
+DATA = Path(__file__).parents[2] / "data_synthetic"
 
 
 def _read(name: str) -> ww.Trials:

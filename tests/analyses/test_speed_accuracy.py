@@ -132,7 +132,7 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
 
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
     names = "beams", "posteriors", "jnds", "fits", "growth"
-    kept = Path(__file__).parents[1] / "analyses" / "figures"
+    kept = Path(__file__).parents[2] / "analyses" / "figures"
     parts = [pd.read_csv(kept / f"speed_accuracy_{part}.csv") for part in names]
     table = pd.concat(parts, ignore_index=True)
     assert faults(plots.speed_accuracy(table)) == []

@@ -16,7 +16,7 @@ import weberwhisk as ww
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
-REAL = Path(__file__).parent / "data" / "tracking" / "test_5frames.measurements"
+REAL = Path(__file__).parents[1] / "data" / "tracking" / "test_5frames.measurements"
 
 
 def _whisk(folder: Path) -> Path:

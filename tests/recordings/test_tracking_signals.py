@@ -13,7 +13,7 @@ import weberwhisk as ww
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 C2 = ww.Whisker.from_identity("C2", curved=True)
 
 

@@ -11,7 +11,7 @@ from analysis_scripts import load
 from weberwhisk.behaviour import FitStatus, fit_weber, read_trials
 from weberwhisk.behaviour.effects import Drift
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "data_synthetic"
 PACKAGE = json.loads((FOLDER / "datapackage.json").read_text("utf-8"))
 CHOICES = [entry for entry in PACKAGE["resources"] if "task" in entry]

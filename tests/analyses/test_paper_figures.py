@@ -19,7 +19,7 @@ from weberwhisk.plots import figure_of
 
 paper, claims, script = (load(f"paper.{name}") for name in ("remade", "claims", "make"))
 gallery = load("gallery.make")
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)
 

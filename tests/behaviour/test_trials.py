@@ -167,7 +167,7 @@ def test_the_rats_file() -> None:
     assert trials.task.name == "2IFC"
     assert trials.standards.size == 8
     # The file says itself which answers were right: right is rewarded where s1 > s2.
-    raw = pd.read_csv(Path(__file__).parent.parent / "weberwhisk/data/rat_auditory_2ifc.csv.gz")
+    raw = pd.read_csv(Path(__file__).parents[2] / "weberwhisk/data/rat_auditory_2ifc.csv.gz")
     greater = trials.frame["stimulus_2"] > trials.frame["stimulus_1"]
     assert ((trials.frame["count"] == greater) == (raw["correct"] == 1)).all()
 
@@ -176,7 +176,7 @@ def test_the_numerosity_file() -> None:
     trials = load_numerosity()
     assert trials.subjects == ["s1", "s2"]
     assert load_numerosity("s2").n_trials == 250
-    raw = pd.read_csv(Path(__file__).parent.parent / "weberwhisk/data/numerosity_2afc.csv")
+    raw = pd.read_csv(Path(__file__).parents[2] / "weberwhisk/data/numerosity_2afc.csv")
     assert (((trials.frame["stimulus_2"] > 0) == trials.frame["count"]) == raw["correct"]).all()
 
 
