@@ -88,34 +88,6 @@ def test_whiskers_and_profiles_are_values():
         bent.arc[0] = 1.0
 
 
-@pytest.mark.parametrize("make", NOISES)
-def test_a_table_of_likelihoods_has_each(make):
-    """`log_likelihoods` is `log_likelihood`, of all pairs at once."""
-    noise = make()
-    size = 3 if "Joint([Joint" in repr(noise) else 2
-    rng = np.random.default_rng(0)
-    signals = rng.uniform(0.2, 0.8, (5, 4, size)) * (0.5 if noise.is_categorical else 1.0)
-    reading = noise.sample(signals[:, 0], 1)
-    table = noise.log_likelihood(reading[:, None], signals[:, 0])
-    assert_allclose(noise.log_likelihoods(reading, signals[:, 0]), table, rtol=1e-9, atol=1e-9)
-
-
-def test_parts_stand_where_they_say():
-    noise = NOISES[-1]()
-    kinds = [(type(c.noise), c.signals, c.readings) for c in noise.components(3)]
-    assert kinds == [
-        (LogNormal, slice(0, 1), slice(0, 1)),
-        (Weber, slice(1, 2), slice(1, 2)),
-        (Weber, slice(2, 3), slice(2, 3)),
-    ]
-    assert noise.part(3, 1, 2) == Weber(0.2)
-    assert noise.part(3, 0, 2) == noise.noises[0]
-    assert noise.part(3, 1, 3) is None  # across the two groups
-    assert Weber(0.1).part(2, 0, 2) == Weber(0.1)
-    counts = SpikeCount(Afferents(7, 1e-2, 10.0))
-    assert Joint([counts, Weber()], [2, 1]).components(3)[1].readings == slice(14, 15)
-
-
 def test_another_weber_fraction_leaves_the_rest():
     assert Weber(0.1, correlation=0.5).with_weber_fraction(0.3) == Weber(0.3, correlation=0.5)
     angles = Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], [2, 1])
@@ -129,28 +101,6 @@ def test_another_weber_fraction_leaves_the_rest():
     floor = GeneralisedWeber(0.1, floor=0.5, ceiling=3.0)
     assert floor.without_floor() == GeneralisedWeber(0.1, floor=0.0, ceiling=3.0)
     assert floor.with_weber_fraction(0.2) == GeneralisedWeber(0.2, floor=0.5, ceiling=3.0)
-
-
-@pytest.mark.parametrize("make", NOISES)
-def test_what_laws_say_of_themselves_is_so(make):
-    noise = make()
-    size = 3 if "Joint([Joint" in repr(noise) else 2
-    signals = np.linspace(0.2, 0.4, size)
-    rng = np.random.default_rng(3)
-    reading = noise.sample(signals, rng)
-    if noise.is_scale_family:  # the density of c·y given c·I is that of y given I over c
-        for c in (1e-3, 7.0):
-            change = noise.log_likelihood(c * reading, c * signals) + size * np.log(c)
-            assert_allclose(change, noise.log_likelihood(reading, signals))
-    elif not noise.is_categorical:
-        assert not np.allclose(noise.sd(7 * signals), 7 * noise.sd(signals))
-    if noise.gaussian_on is not None:  # quadratic in the reading, or in its logarithm
-        log = noise.gaussian_on == "log"
-        places = np.geomspace(0.1, 1.0, 5) if log else np.linspace(0.1, 1.0, 5)
-        points = np.repeat(signals[None], 5, axis=0)
-        points[:, 0] = places
-        value = noise.log_likelihood(points, signals) + (np.log(points).sum(-1) if log else 0.0)
-        assert_allclose(np.diff(value, 3), 0.0, atol=1e-9 * np.abs(value).max())
 
 
 def test_a_new_law_of_noise_in_four_lines():

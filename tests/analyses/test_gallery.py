@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -10,17 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from analysis_scripts import load
-from cue_checks import keeps_the_protocol, small_noise_limit
 from figure_checks import faults
 from matplotlib.figure import Figure
 from scipy.linalg import eigh
 from scipy.special import ndtr
 
 import weberwhisk as ww
-from weberwhisk.cues import ForceMap, Friction
-from weberwhisk.inference import default_noise
-from weberwhisk.mechanics import profile, rod
-from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+from weberwhisk.mechanics import rod
+from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import fisher_jnd
 
 gallery, surveys, along_whisk, array_maps = (
@@ -84,32 +80,6 @@ def test_inertia_lies_between_its_bounds(whisker: ww.Whisker, place: float) -> N
         assert least * (1 - 1e-3) < lost < most * (1 + 1e-3)
 
 
-def test_a_first_contact_rings_within_its_bound() -> None:
-    """The modes of 60 finite elements, each with its own damping, from a whisker that strikes."""
-    r, zeta, time = 30e-3, 0.1, np.linspace(2e-3, 0.1, 200)
-    stiff, mass, free = beam(WHISKER, r, 60)
-    inner = np.ix_(free, free)
-    square, shapes = eigh(stiff[inner], mass[inner])
-    omega = np.sqrt(square)
-    places = np.unique(np.r_[np.linspace(0, r, 37), np.linspace(r, 50e-3, 25)])
-    static = np.linalg.solve(stiff[inner], -stiff[free, 1])
-    still = stiff[1, 1] + stiff[1, free] @ static
-    # The whisker comes on straight: a node at s moves with s and turns with 1.
-    coming = np.stack([places, np.ones(len(places))], axis=-1).ravel()[free] - static
-    damped = omega * np.sqrt(1 - zeta**2)
-    start = shapes.T @ (mass[inner] @ coming) / damped
-    wave = np.exp(-zeta * omega * time[:, None]) * np.sin(damped * time[:, None]) * start
-    # Reactions at the clamp: of the element there, whose own mass is next to nothing.
-    rings = np.abs((wave @ shapes.T) @ stiff[1, free]) / (still * time)
-    found = quasi_static(WHISKER, r)
-    most = found.onset(time, zeta)
-    assert (rings < most * 1.02).all()
-    early = time < 0.02
-    assert (rings[early] / most[early]).max() > 0.8
-    for share in (0.1, 1e-3):
-        assert found.onset(found.settled(share)) == pytest.approx(share, rel=1e-6)
-
-
 def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
     push = np.radians([5.0, 15.0, 25.0])
     table = along_whisk.resolution_along_push(WHISKER, 25e-3, push)
@@ -125,14 +95,6 @@ def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
     assert wall["jnd_mm"][1] < wall["jnd_mm"][2] < by["peg"]["jnd_mm"][2]
 
 
-def test_a_followed_distance_lies_in_its_band() -> None:
-    table = along_whisk.lateral_sweep(WHISKER, 25e-3, np.radians(np.arange(2.0, 31.0, 4.0)))
-    inside = table["true_distance_mm"].between(table["lower_mm"], table["upper_mm"])
-    assert inside.mean() > 0.8
-    slid = table[table["object"] != "peg"]["true_distance_mm"]
-    assert slid.iloc[0] - slid.iloc[-1] > 4
-
-
 def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> None:
     r = np.linspace(0.05, 0.95, 40) * WHISKER.length
     table = along_whisk.limits(WHISKER, r)
@@ -146,55 +108,6 @@ def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> No
     assert table["stopped"].any()
     assert table.loc[moment > 2.5, "all_mm"].isna().all()
     assert (table["threshold_mm"] >= table["weber_mm"]).all()
-
-
-@pytest.mark.parametrize(
-    ("r", "push", "torque"), [(35e-3, np.radians(24), 1.98e-6), (45e-3, np.radians(12), 1.47e-7)]
-)
-def test_torque_stops_the_push_on_the_way_up_to_the_largest_moment(r, push, torque) -> None:
-    """Past the peak of the moment, or the fold, the torque had been ignored."""
-    peak = np.nanmax(ww.press(WHISKER, r, np.linspace(0, push, 2001)).moment)
-    assert peak > torque
-    row = along_whisk.limits(WHISKER, [r], push=push, torque=torque).iloc[0]
-    assert row["stopped"]
-    assert row["moment_micronewton_metre"] == pytest.approx(1e6 * torque, rel=1e-9)
-    before = np.linspace(0, np.radians(row["deflection_angle_deg"]), 50)[:-1]
-    assert np.all(np.asarray(ww.press(WHISKER, r, before).moment) < torque)
-
-
-def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
-    angles = np.radians([16.0, 24.0])
-    at = along_whisk.bodies(25e-3, [5e-3])
-    none = along_whisk.reversal(WHISKER, 25e-3, angles, friction_coefficient=0.0, objects=at)
-    np.testing.assert_allclose(none["bias_mm"], 0.0, atol=1e-6)
-    table = along_whisk.reversal(WHISKER, 25e-3, angles, objects=at)
-    by = table.set_index(["object", "base", "direction"])
-    assert (by.loc[("peg", "rotates", "let go"), "bias_mm"] > 0).all()
-    assert (by.loc[("peg", "rotates", "pressed"), "bias_mm"] < 0).all()
-    moved = by.loc[("peg", "translates", "pressed"), "radial_distance_mm"].to_numpy()
-    np.testing.assert_allclose(moved, 25 / np.cos(angles), rtol=1e-9)
-    # By hand, at a peg: what is felt with friction, taken for a contact without.
-    bent = ww.press(WHISKER, 25e-3, angles, -np.arctan(0.3))
-    felt = np.stack([bent.moment, bent.axial_force], axis=-1)
-    off = 1e3 * ww.cues.ForceMap().contact(WHISKER, felt)[0][:, 0] - 25
-    np.testing.assert_allclose(by.loc[("peg", "rotates", "pressed"), "bias_mm"], off, rtol=1e-4)
-    # A base that moves on rolls the contact along a cylinder, inwards as one that turns does.
-    for base in ("rotates", "translates"):
-        there = by.loc[("cylinder, 5 mm", base, "pressed")]
-        assert (np.diff(there["radial_distance_mm"]) < 0.1).all()
-        assert (there["radial_distance_mm"] < 24).all()
-
-
-def test_speeds_and_limits_are_those_read_aloud() -> None:
-    """Of the figures' whisker, of 3 GPa; what was written was of 3.34."""
-    r = np.array([0.2, 0.5, 0.85]) * surveys.WHISKER.length
-    found = along_whisk.speed(surveys.WHISKER, r, [8.0])
-    assert found["one_percent_hz"].round(1).tolist() == [20.9, 13.2, 3.1]
-    assert (100 * found["error_8Hz"]).round(1).tolist() == [0.1, 0.4, 6.7]
-    assert found["first_frequency_hz"].iloc[2] == pytest.approx(72, abs=1)
-    assert (1e3 * found["settled_s"]).round().tolist() == [5, 10, 21]
-    row = along_whisk.limits(surveys.WHISKER, r[2]).iloc[0]
-    assert row["threshold_mm"] / row["weber_mm"] == pytest.approx(1.4, abs=0.02)
 
 
 # -- cues side by side ---------------------------------------------------------------------------
@@ -248,44 +161,7 @@ def test_the_surface_by_posteriors_ends_at_the_fold_and_falls_to_the_base() -> N
     assert (table["jnd_mm"] == table["posterior_mm"]).all()
 
 
-def test_jnds_of_curved_and_rubbing_whiskers_are_those_of_the_planar_beam() -> None:
-    """Linear JNDs with slopes by differences of the beam's signals.
-
-    Axial forces that change sign have a floor: on the concave side, and where the whisker rubs.
-    """
-    table = surveys.curvatures(2, 2)
-    step, k = 1e-4, surveys.K
-    for row in table.to_dict("records"):
-        whisker = replace(surveys.WHISKER, curvature=row["curvature_per_m"])
-        contact = np.array([row["radial_distance_mm"] * 1e-3, surveys.ANGLE])
-        near = contact * (1 + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
-        psi = np.radians(row["friction_angle_deg"])
-        r, push = near.T  # from where the whisker is at rest
-        bent = profile.press(whisker, r, profile.rest_angle(whisker, r) + push, psi)
-        if row["outcome"].startswith("held"):
-            signals = np.array([bent.moment, bent.axial_force])
-            cue = Friction(ForceMap(), psi) if psi else ForceMap()
-            sd = default_noise(whisker, cue, k).sd(signals.mean(axis=1))
-            slope = (signals[:, ::2] - signals[:, 1::2]) / (2 * step * contact) / sd[:, None]
-            jnd = np.sqrt(np.linalg.inv(slope.T @ slope)[0, 0])
-            assert row["propagation_mm"] == pytest.approx(1e3 * jnd, rel=2e-3)
-    assert set(zip(table["whisker"], table["model"], strict=True)) == {
-        ("concave", "profile"), ("straight", "elastica"), ("convex", "profile"),
-        ("rubbing", "profile"),
-    }  # fmt: skip
-
-
 # -- a tilted surface ----------------------------------------------------------------------------
-
-
-def test_a_cue_of_ones_own_has_slopes_and_posteriors() -> None:
-    """`LateralSlip` is built on the protocol alone."""
-    observer = ww.Observer(WHISKER, LateralSlip(friction_angle=0.1))
-    keeps_the_protocol(observer, np.array([[10e-3, 0.4], [30e-3, -0.9]]))
-    contact = np.array([[10e-3, 0.5], [25e-3, 0.5], [40e-3, 0.5]])
-    noise = Joint([Weber(0.01), GeneralisedWeber(0, floor=0.01)], sizes=[1, 1])
-    square = ww.Observer(WHISKER, LateralSlip(), noise)
-    small_noise_limit(square, contact, draws=50, bias=2e-3)
 
 
 def test_the_lateral_slip_is_that_of_a_rod_pressed_by_a_tilted_plane() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import FOLDER, load
-from scipy.stats import beta, fisk, norm
+from scipy.stats import beta, fisk
 from short_forms import slow_but
 
 from weberwhisk import Observer, Whisker, cues, fit_weber, simulate_trials
@@ -81,17 +81,6 @@ def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
     assert max(rmse(found, k) for found in by_grid(design, count, *beliefs)) <= theirs
 
 
-def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() -> None:
-    design, count, k = script.cell(BEYOND_REACH, 150)
-    told = np.zeros((grid.LAPSES.size, grid.LAPSES.size))
-    place = int(np.argmin(np.abs(grid.LAPSES - 0.02)))
-    told[place, place] = 1
-    ln_k, like = script.density(design, count, told.reshape(-1, 1), (0.05,))
-    floor = rmse(np.exp(script.estimates(ln_k, like[0, :, 0])["median"]), k)
-    (default,) = by_grid(design, count, script.SHIPPED_FRACTION)
-    assert 0.18 < floor < rmse(default, k) < 1.2 * floor
-
-
 @pytest.mark.parametrize("part", slow_but(script.DESIGNS, (1,)))
 def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
     """Of lapses less than the default before; and half as wide a prior of k loses less where the
@@ -155,38 +144,6 @@ def test_the_belief_about_levels_is_the_prior_that_it_says() -> None:
     assert "levels" not in methods_paragraph(same)
     other = fit_weber(trials, priors=LEVELS | {"lapse_low": 0.0}).model.priors
     assert (other.words("lapse_low"), other.words("lapse_high")) == ("fixed at 0", "beta(0.5, 9.5)")
-
-
-def test_it_is_not_the_default_as_a_staircase_begins_far_from_the_threshold() -> None:
-    design, count = script.staircase(1.0, 100, 0.1, 40)
-    default, levels = (np.median(found) / 0.1 - 1 for found in by_grid(design, count, *BOTH))
-    assert abs(default) < 0.12
-    assert levels > 0.15
-
-
-def test_a_mixture_of_both_beliefs_gains_in_the_cell_what_levels_too_hard_lose() -> None:
-    """And one level, which brackets nothing, leaves it the wide prior."""
-    name, wide = (0.5, 1.5, 0.46), script.prior_of(script.SHIPPED_FRACTION, None)
-    one, x = script.around("one", np.array([0.1]), per_level=9), np.linspace(-9.0, 4.0, 2001)
-    np.testing.assert_allclose(script.prior_of(name, one).pdf(x), wide.pdf(x))
-    nine = script.around("nine", script.even(0.3, 9), per_level=13)
-    assert np.trapezoid(script.prior_of(name, nine).pdf(x), x) == pytest.approx(1, abs=1e-4)
-    hard = 0.02 + 0.96 * norm.cdf(nine.drive / 0.5)
-    answers = np.random.default_rng(1).binomial(13, hard, (150, 9)).astype(float)
-    cell = script.cell(BEYOND_REACH, 78)[1]
-    changes = []
-    for count, k in ((cell, 0.2), (answers, 0.5)):
-        default, mixed = by_grid(nine, count, script.SHIPPED_FRACTION, name)
-        changes.append(rmse(mixed, k) / rmse(default, k))
-    assert changes[0] < 0.9
-    assert changes[1] > 1.04
-
-
-def test_of_yes_no_the_easiest_pair_is_as_far_from_its_criterion() -> None:
-    trials = simulate_trials(task="yes/no", weber_fraction=0.2, seed=3)
-    at = fit_weber(trials, priors=LEVELS).model.priors.weber_fraction.median()
-    s1, s2 = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy().T
-    assert at == pytest.approx(np.max(np.abs(s2 - s1) / s2) / 1.5)
 
 
 def test_animals_shown_other_levels_lay_the_prior_at_their_geometric_mean() -> None:

@@ -144,12 +144,3 @@ def test_the_chain_of_links_converges_as_their_length_squared() -> None:
     errors = [script.chain(scene, links) / beams.truth(scene) - 1 for links in (20, 40, 80)]
     order = np.log2(np.abs(errors[:-1]) / np.abs(errors[1:]))
     np.testing.assert_allclose(order, 2, atol=0.1)
-
-
-def test_plain_emcee_is_right() -> None:
-    observer = charts.OBSERVERS["one unknown: r"]
-    rows = charts.readings(observer, 4)[:1]
-    exact = charts.summed(observer, rows, 2000, zoom=True)
-    for move in ("stretch", "DE"):
-        sd = script.emcee_loop(observer, rows, 300, move, True)
-        np.testing.assert_allclose(sd, exact, rtol=0.15)

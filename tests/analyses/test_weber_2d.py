@@ -34,37 +34,6 @@ def test_all_routes_agree_across_the_family_at_small_noise(k, rho):
     assert np.all(np.abs(row["posterior"] - closed) < error)
 
 
-@pytest.mark.parametrize(
-    ("name", "other", "contact"),
-    [
-        ("axial force noise alone", "moment", (84, 71, 59, 47)),
-        ("moment noise alone", "axial_force", (103, 103, None, None)),
-    ],
-)
-def test_false_zeros_of_either_limit_are_where_the_other_slope_vanishes(name, other, contact):
-    """Axial: within the paper's contact angles of 90°. Moment: beyond, and only up to 0.5 L."""
-    table = weber_2d.surface(*weber_2d.FAMILY[name], 300)
-    places = table["radial_distance_mm"].unique()
-    for place, alpha in zip((0.3, 0.5, 0.7, 0.9), contact, strict=True):
-        near = places[np.argmin(np.abs(places - 1e3 * place * W.length))]
-        rows = table[table["radial_distance_mm"] == near]
-        sign = np.sign(rows["signed_jnd_mm"].to_numpy())
-        at = np.flatnonzero(np.diff(sign) != 0)
-        if alpha is None:
-            assert not at.size
-            continue
-        assert at.size == 1
-        before, after = (np.radians(rows["deflection_angle_deg"].iloc[at[0] + i]) for i in (0, 1))
-        angles = np.linspace(before, after, 9)
-        angles = np.concatenate([angles - (after - before), angles, angles + (after - before)])
-        top = np.argmax(getattr(ww.press(W, 1e-3 * near, angles), other))
-        assert before <= angles[top] <= after  # there the other signal peaks
-        assert rows["contact_angle_deg"].iloc[at[0]] == pytest.approx(
-            alpha, abs=2 if alpha < 90 else 4
-        )
-    assert np.all(table["jnd_mm"] == np.abs(table["signed_jnd_mm"]))
-
-
 def test_figure_4b_marks_the_contact_angle_of_90_degrees_and_the_false_zero():
     table = weber_2d.surface(K, weber_2d.NONE, 40)
     ax = plots.jnd_surface(table, length=W.length, weber_fraction=K)

@@ -121,16 +121,6 @@ def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_effect_of_nothing_changes_nothing(name: str) -> None:
-    effect = CASES[name][0]
-    trials = answered("none", 0.0, seed=12, trials=300)
-    one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]])
-    plain = model_of(trials, effect).plain().log_likelihood(*one)
-    moved = model_of(trials, effect).log_likelihood(*one, np.zeros((1, 1)))
-    assert moved[0] == pytest.approx(plain[0], abs=1e-9)
-
-
-@pytest.mark.parametrize("name", CASES)
 def test_an_effect_is_found_where_it_is(name: str) -> None:
     effect, value = CASES[name]
     # Lapses known: one dimension less at a time is enough for a test that always runs.
@@ -145,37 +135,6 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     assert low < K < high
     assert fit.effects == (name,)
     assert name in fit.report()
-
-
-@pytest.mark.slow
-def test_emcee_agrees_with_two_effects_by_quadrature() -> None:
-    known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
-    trials = answered("drift", -1.0, seed=14, trials=240)
-    one, two = (
-        fit_weber(trials, effects=[Drift(), Contraction()], priors=known, method=method, seed=2)
-        for method in ("quadrature", "emcee")
-    )
-    for name in ("weber_fraction", "drift", "contraction"):
-        sd = one.posterior.sd(name)
-        assert abs(one.posterior.mean(name) - two.posterior.mean(name)) < 0.1 * sd
-        assert two.posterior.sd(name) == pytest.approx(sd, rel=0.1)
-
-
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_units_do_not_matter(unit: float) -> None:
-    known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
-    trials = answered("floor", 0.3, seed=15, trials=300)
-    columns = ["standard", "stimulus_1", "stimulus_2"]
-    table = trials.table()
-    other = read_trials(table.assign(**{c: table[c] * unit for c in columns}))
-    for effect in (Floor(), Contraction()):
-        a, b = (fit_weber(t, effects=[effect], priors=known) for t in (trials, other))
-        assert b.weber_fraction == pytest.approx(a.weber_fraction, rel=1e-6)
-        scale = unit if effect.name == "floor" else 1.0
-        low, high = a.interval(parameter=effect.name)
-        assert b.interval(parameter=effect.name) == pytest.approx(
-            (scale * low, scale * high), rel=1e-5, abs=1e-6 * scale
-        )
 
 
 # -- overdispersion -------------------------------------------------------------------------------

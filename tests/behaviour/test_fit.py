@@ -15,7 +15,6 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 from short_forms import slow_but
 
-from weberwhisk import Whisker
 from weberwhisk.behaviour import (
     FitStatus,
     LogEncoding,
@@ -25,17 +24,14 @@ from weberwhisk.behaviour import (
     fit_weber,
     load_numerosity,
     load_rat_auditory,
-    methods_paragraph,
     read_trials,
     response_probability,
     simulate_trials,
     task_named,
 )
-from weberwhisk.behaviour.axes import log_lapses_possible
 from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
 from weberwhisk.behaviour.psychometric import threshold
 from weberwhisk.behaviour.simulate import simulate_responses
-from weberwhisk.design import Hypothesis, Scheme, taper
 
 ENDS = [0.025, 0.5, 0.975]
 
@@ -186,25 +182,6 @@ def test_draws_are_the_same_posterior() -> None:
             assert below == pytest.approx(p, abs=4.5 * np.sqrt(p * (1 - p) / n))
 
 
-def test_draws_of_biases_far_from_what_is_believed_are_the_same_posterior_too() -> None:
-    """A cylinder that cannot explain 18 000 answers: what judges draws lost the biases there, by up
-    to 50 nats, and of 200 000 proposals hardly any was taken."""
-    true, other = taper(Whisker(50e-3, 100e-6, 5e-6))
-    spaced = dict(weber_fraction=0.1, levels=[-1.5, -1, -0.5, 0.5, 1, 1.5], trials=1500)
-    scheme = Scheme.spaced(true.encoding, [5e-3, 45e-3], **spaced)
-    posterior = other.fit(true.expected_trials(scheme, 0.1, 0.02)).posterior
-    joint = posterior.grid.joint
-    node = np.nonzero(joint > joint.max() - 3)
-    place = np.column_stack([a[i] for a, i in zip(posterior.grid.axes, node, strict=True)])
-    found = posterior._log_density(place, [0, 1, 2])
-    np.testing.assert_allclose(found, joint[node], atol=0.02)
-    draws = posterior.draws().named(posterior.model)
-    for name, values in draws.items():
-        sd = posterior.sd(name)
-        assert values.mean() == pytest.approx(posterior.mean(name), abs=5 * sd / values.size**0.5)
-        assert values.std() == pytest.approx(sd, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("options", "bias"),
     [
@@ -233,44 +210,6 @@ def test_emcee_agrees(options: dict, bias: str) -> None:
         )
         assert sampled.posterior.sd(name) == pytest.approx(sd, rel=0.1)
     assert sampled.log_evidence is None
-
-
-def test_emcee_starts_where_the_mode_is_at_an_edge() -> None:
-    """Of answers at chance lapses may take all, and the mode lies where they leave no rise.
-
-    All walkers were drawn in to that one point, outside the support, and refused.
-    """
-    frame = pd.DataFrame(
-        {
-            "standard": 1.0,
-            "comparison": np.linspace(0.7, 1.3, 9),
-            "n": 5,
-            "n_greater": [5, 5, 5, 3, 5, 3, 5, 4, 4],
-        }
-    )
-    exact, sampled = (fit_weber(read_trials(frame), method=m, seed=1) for m in (None, "emcee"))
-    assert not sampled.posterior.trouble
-    for name in ("weber_fraction", "bias"):
-        mean, sd = exact.posterior.mean(name), exact.posterior.sd(name)
-        assert sampled.posterior.mean(name) == pytest.approx(mean, abs=0.15 * sd)
-
-
-def test_emcee_tells_an_open_end_without_draws_there() -> None:
-    """One draw in a thousand is at an end of the prior: with none the end was called excluded."""
-    levels = 1 + 0.1893339 * np.linspace(-1, 1, 9)
-    answers = [0, 1, 0, 0, 1, 1, 2, 2, 1]
-    trials = read_trials(
-        pd.DataFrame({"standard": 1.0, "comparison": levels, "n": 2, "n_greater": answers})
-    )
-    found = fit_weber(trials, method="emcee", seed=1).status
-    assert found == fit_weber(trials).status == FitStatus.UPPER_BOUND
-
-
-def test_emcee_is_repeatable() -> None:
-    trials = simulate_trials(trials_per_level=5, seed=14)
-    known = {"lapse_low": 0.01, "lapse_high": 0.01}
-    one, two, three = (fit_weber(trials, method="emcee", priors=known, seed=s) for s in (1, 1, 2))
-    assert one.weber_fraction == two.weber_fraction != three.weber_fraction
 
 
 # -- what a fit gives -----------------------------------------------------------------------------
@@ -332,15 +271,6 @@ def test_thresholds_do_not_carry_lapses() -> None:
     assert row["comparison"] == pytest.approx((1 + q * np.sqrt(2 - q * q)) / (1 - q * q), abs=2e-3)
 
 
-def test_out_of_reach_is_said() -> None:
-    few = fit_weber(counted([0.5, 2.0], 10, [5, 6]))
-    row = few.threshold(1.0, 0.95).loc[0]
-    assert np.isinf(row["upper"])
-    assert 0 < row["unreachable"] <= 1
-    assert json.loads(few.to_json())["thresholds"][0]["upper"] is None
-    assert "out of reach" in few.report()
-
-
 def test_thresholds_out_of_reach_in_many_draws_are_infinite_not_nan() -> None:
     """Interpolating between two infinite draws made NaN, with a warning."""
     few = simulate_trials(
@@ -350,20 +280,6 @@ def test_thresholds_out_of_reach_in_many_draws_are_infinite_not_nan() -> None:
     assert row["unreachable"] > 0.1
     assert row["upper"] == np.inf
     assert 0 < row["lower"] < row["comparison"]
-
-
-def test_psychometric_band(fit: WeberFit) -> None:
-    band = fit.psychometric([0.5, 0.9, 1.0, 1.1, 2.0], 1.0)
-    assert (band["lower"] < band["median"]).all()
-    assert (band["median"] < band["upper"]).all()
-    assert band["median"].is_monotonic_increasing
-    truth = response_probability(
-        task_named("2AFC"), IdentityEncoding(), 1.0, band["comparison"], weber_fraction=0.1,
-        lapse_low=0.02, lapse_high=0.05, bias=0.3,
-    )  # fmt: skip
-    assert ((band["lower"] < truth) & (truth < band["upper"])).all()
-    with pytest.raises(ValueError, match="2 standards; name one"):
-        fit.psychometric([1.0])
 
 
 def test_residuals_are_standard_normal_where_the_model_is_right(fit: WeberFit) -> None:
@@ -419,13 +335,6 @@ def test_arviz(fit: WeberFit) -> None:
     again = data.posterior_predictive["answers"]
     assert again.shape == data.log_likelihood["answers"].shape
     assert float(again.sum("cell").mean()) == pytest.approx(fit.model.cells.count.sum(), rel=0.05)
-
-
-def test_arviz_has_a_bias_per_standard() -> None:
-    trials = simulate_trials(standards=[1.0, 2.0], trials_per_level=10, seed=17)
-    data = fit_weber(trials, bias="per standard").to_arviz()
-    assert data.posterior["bias"].dims == ("chain", "draw", "standard")
-    assert data.posterior["standard"].values.tolist() == [1.0, 2.0]
 
 
 def test_map_is_the_top_of_the_density() -> None:
@@ -505,14 +414,6 @@ def test_prior_predictive_is_what_the_priors_say(fit: WeberFit) -> None:
     np.testing.assert_allclose(found, np.quantile(share, ENDS), atol=0.051)  # two counts of 40
 
 
-def test_posterior_predictive_is_nearer_to_the_data(fit: WeberFit) -> None:
-    before, after = fit.prior_predictive(), fit.posterior_predictive()
-    width = [(t["upper"] - t["lower"]).mean() for t in (before, after)]
-    assert width[1] < 0.4 * width[0]
-    assert after["inside"].mean() >= 0.8
-    assert fit.posterior_predictive(seed=1).equals(fit.posterior_predictive(seed=1))
-
-
 # -- Weber's law ----------------------------------------------------------------------------------
 
 
@@ -531,20 +432,6 @@ def test_weber_law_holds_where_it_does_and_fails_where_it_does_not(bias: str) ->
     assert fails.log_bayes_factor < -5
     assert "against Weber's law" in fails.report()
     assert fails.by_standard["weber_fraction"].tolist() == pytest.approx([0.1, 0.3], rel=0.3)
-
-
-def test_weber_law_evidence_by_brute_force() -> None:
-    """Without lapses and bias the standards are independent: the evidences multiply."""
-    trials = simulate_trials(standards=[1.0, 2.0], trials_per_level=10, seed=23)
-    known = {"lapse_low": 0.01, "lapse_high": 0.01}
-    test = fit_weber(trials, bias="none", priors=known).weber_law_test()
-    apart = sum(
-        fit_weber(trials.select(standard=s), bias="none", priors=known).log_evidence  # type: ignore[misc]
-        for s in (1.0, 2.0)
-    )
-    together = fit_weber(trials, bias="none", priors=known).log_evidence
-    assert together is not None
-    assert test.log_bayes_factor == pytest.approx(together - apart, abs=1e-4)
 
 
 @pytest.mark.parametrize("bias", ["shared", "per standard"])
@@ -642,24 +529,6 @@ def test_one_answer_to_everything_tells_no_weber_fraction(task: str, share: int)
     assert fit_weber(counted([1.1, 1.3], 40, [40, 40])).status is FitStatus.UPPER_BOUND
 
 
-def test_three_trials_a_level_is_wide() -> None:
-    inside = 0
-    for seed in range(20):
-        fit = fit_weber(simulate_trials(trials_per_level=3, seed=seed))
-        low, high = fit.interval()
-        inside += low < 0.1 < high
-        assert high / low > 2.5
-    assert inside >= 17
-
-
-def test_one_level_cannot_tell() -> None:
-    fit = fit_weber(counted([1.1], 300, [228]))
-    low, high = fit.interval()
-    assert high / low > 4
-    assert any("are not identified separately" in note for note in fit.notes)
-    assert low < 0.1 < high
-
-
 def test_identical_stimuli_leave_the_prior() -> None:
     fit = fit_weber(counted([1.0], 200, [110]))
     assert fit.status is FitStatus.UNINFORMED
@@ -682,28 +551,6 @@ def test_no_answers_leave_the_prior() -> None:
     json.loads(fit.to_json())
 
 
-def test_levels_without_trials_change_nothing() -> None:
-    k = expected_counts(NINE, 30, 0.1)
-    plain = fit_weber(counted(NINE.tolist(), 30, k))
-    extra = fit_weber(counted([*NINE, 1.5, 3.0], [30] * 9 + [0, 0], [*k, 0, 0]))
-    assert extra.weber_fraction == plain.weber_fraction
-
-
-@pytest.mark.parametrize("scale", [1e-6, 1e6])
-@pytest.mark.parametrize("noise", ["weber", "equal-variance"])
-def test_units_do_not_matter(scale: float, noise: str) -> None:
-    trials = simulate_trials(standards=[1.0, 2.0], trials_per_level=20, seed=32)
-    frame = trials.table()
-    columns = ["standard", "stimulus_1", "stimulus_2"]
-    other = read_trials(frame.assign(**{c: frame[c] * scale for c in columns}))
-    one, two = (fit_weber(t, noise=noise) for t in (trials, other))
-    assert two.weber_fraction == pytest.approx(one.weber_fraction, rel=1e-9)
-    assert two.log_evidence == pytest.approx(one.log_evidence, abs=1e-9)
-    np.testing.assert_allclose(
-        two.threshold()["comparison"], one.threshold()["comparison"] * scale, rtol=1e-9
-    )
-
-
 def test_an_unknown_log_unit_scales_the_answer_and_says_so() -> None:
     d = np.array([-1.0, -0.5, 0.5, 1.0])
     frame = pd.DataFrame(
@@ -721,26 +568,6 @@ def test_an_unknown_log_unit_scales_the_answer_and_says_so() -> None:
     assert known.weber_fraction == pytest.approx(0.01 * one.weber_fraction, rel=0.15)
 
 
-def test_saturated_levels_do_no_harm() -> None:
-    s2 = [0.1, 0.2, 0.9, 1.1, 5.0, 10.0]
-    fit = fit_weber(counted(s2, 50, [0, 0, 12, 38, 50, 50]))
-    assert fit.status is FitStatus.DETERMINED
-    low, high = fit.interval()
-    assert low < 0.1 < high
-    assert high / low < 2.5
-
-
-def test_two_levels_are_wide_and_say_what_is_wanting() -> None:
-    fit = fit_weber(counted([0.9, 1.1], 150, expected_counts(np.array([0.9, 1.1]), 150, 0.1)))
-    low, high = fit.interval()
-    assert low < 0.1 < high
-    assert high / low > 2
-    assert any("of 2 kinds" in note and "parameters are 4" in note for note in fit.notes)
-    assert "add easier and harder pairs" in fit.report()
-    nine = fit_weber(simulate_trials(trials_per_level=17, seed=35))
-    assert not any("kinds" in note for note in nine.notes)
-
-
 def test_duplicated_rows_are_counted_and_said() -> None:
     """They may be two trials or one: the fit says so and takes them as they stand."""
     once = simulate_trials(trials_per_level=20, seed=36).table()
@@ -752,36 +579,9 @@ def test_duplicated_rows_are_counted_and_said() -> None:
     assert np.log(both[1] / both[0]) < np.log(one[1] / one[0])
 
 
-@pytest.mark.slow
-def test_a_million_rows() -> None:
-    fit = fit_weber(simulate_trials(trials_per_level=111_112, lapse_low=0.02, seed=37))
-    assert fit.trials.n_trials == 1_000_008
-    low, high = fit.interval()
-    assert low < 0.1 < high
-    assert high - low < 2e-3
-
-
-def test_a_million_trials_as_counts() -> None:
-    n = 111_111
-    fit = fit_weber(counted(NINE.tolist(), n, expected_counts(NINE, n, 0.1, lapse=0.02, bias=0.1)))
-    assert fit.status is FitStatus.DETERMINED
-    for name, truth in (("weber_fraction", 0.1), ("lapse_low", 0.02), ("bias", 0.1)):
-        assert fit.posterior.mean(name) == pytest.approx(truth, abs=3e-3)
-        low, high = fit.interval(parameter=name)
-        assert low < truth < high
-    assert fit.posterior.sd("weber_fraction") < 1e-3
-
-
 def test_mixed_subjects_are_refused() -> None:
     with pytest.raises(ValueError, match=r"2 subjects.*trials\.select\(subject='s1'\)"):
         fit_weber(load_numerosity())
-
-
-def test_a_poor_animal_is_within_reach_of_the_prior() -> None:
-    levels = np.array([0.2, 0.4, 0.7, 1.4, 2.5, 5.0])
-    fit = fit_weber(counted(levels.tolist(), 400, expected_counts(levels, 400, 1.5)))
-    low, high = fit.interval()
-    assert low < 1.5 < high
 
 
 def test_a_ridge_between_bias_and_lapses_is_integrated() -> None:
@@ -847,14 +647,6 @@ def test_percent_correct_has_no_bias() -> None:
         fit_weber(trials, bias="shared")
 
 
-@pytest.mark.parametrize("parameter", ["k", "bias[1]"])
-def test_unknown_parameters_are_refused(fit: WeberFit, parameter: str) -> None:
-    with pytest.raises(ValueError, match="is unknown"):
-        fit.interval(parameter=parameter)
-    with pytest.raises(ValueError, match="mass must lie between"):
-        fit.interval(mass=95)
-
-
 # -- recovery -------------------------------------------------------------------------------------
 
 
@@ -912,29 +704,6 @@ def test_numerosity(subject: str) -> None:
     assert 0.1 < fit.weber_fraction < 0.35
 
 
-@pytest.mark.slow
-def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None:
-    """Two proportions for four parameters, and an animal that prefers another answer at each
-    standard: one bias misses the data, and the report says so and what to do instead."""
-    trials = load_rat_auditory()
-    shared, own = fit_weber(trials), fit_weber(trials, bias="per standard")
-    assert shared.misfit < 0.001
-    said = shared.report()
-    for part in (
-        "of 2 kinds",
-        "parameters are 4",
-        "given what is believed beforehand of the others",
-        "The curve misses the data",
-        'Try bias="per standard"',
-    ):
-        assert part in said  # fmt: skip
-    # What it says to do instead works.
-    few = {name: stats.beta(1, 20) for name in ("lapse_low", "lapse_high")}
-    assert fit_weber(trials, priors=few).status is FitStatus.DETERMINED
-    assert own.status is FitStatus.DETERMINED
-    assert own.log_evidence > shared.log_evidence + 50  # type: ignore[operator]
-
-
 def test_the_rat_needs_a_bias_per_standard() -> None:
     trials = load_rat_auditory(range(31, 36))
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))
@@ -959,19 +728,6 @@ def test_a_standard_without_answers_shifts_no_bias_per_standard() -> None:
     assert fit.to_arviz().posterior["standard"].values.tolist() == [2.0, 4.0]
     with pytest.raises(ValueError, match="standard 1 has no answers in the table"):
         fit.threshold(1.0, with_bias=True)
-
-
-def test_standards_alike_to_six_digits_have_names_of_their_own() -> None:
-    fit = fit_weber(
-        simulate_trials(standards=[2.0, 2.0000001], trials_per_level=5, seed=1), bias="per standard"
-    )
-    assert fit.summary().index.tolist()[-2:] == ["bias[2.0]", "bias[2.0000001]"]
-
-
-def test_lapses_on_the_edge_count_half() -> None:
-    """Of two uniform lapses half are possible; by whole nodes it was 0.486."""
-    flat = Priors(lapse_low=stats.uniform(), lapse_high=stats.uniform(), lapse_correlation=0.0)
-    assert np.exp(log_lapses_possible(task_named("2AFC"), flat)) == pytest.approx(0.5, abs=1e-6)
 
 
 def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
@@ -1007,29 +763,3 @@ def test_a_weber_fraction_that_was_given_is_reported() -> None:
     one_sided = replace(trials, frame=trials.frame.assign(count=trials.frame["n"]))
     fit = fit_weber(one_sided, priors={"weber_fraction": 0.1})
     assert fit.status is FitStatus.ONE_SIDED
-
-
-def test_priors_leave_the_criterion_of_same_and_different_its_own() -> None:
-    """Below zero a criterion calls everything different: a normal prior had half its mass there."""
-    trials = simulate_trials(task="same-different", bias=1.0, trials_per_level=5, seed=1)
-    fits = [fit_weber(trials, priors=p) for p in ({"lapse_low": 0.02}, Priors(lapse_low=0.02))]
-    assert {fit.model.priors.words("bias") for fit in fits} == {"lognorm(0.7, scale=1.3)"}
-    asked = Hypothesis("x", IdentityEncoding(), task="same-different")
-    assert asked.priors.words("bias") == "lognorm(0.7, scale=1.3)"
-
-
-def test_levels_met_once_are_not_answered_all_one_way() -> None:
-    """A staircase meets each level once or twice, and its report asked for easier and harder."""
-    table = pd.DataFrame({"stimulus_1": 20.0, "stimulus_2": [21.5, 17.9, 18.9, 17.1, 25.0]})
-    notes = fit_weber(read_trials(table.assign(choice=[1, 0, 1, 1, 1]))).notes
-    assert not any("all one way" in note for note in notes)
-    notes = fit_weber(read_trials(table.assign(choice=[1, 0, 0, 0, 1]))).notes
-    assert any("all one way" in note for note in notes)
-
-
-def test_a_fit_of_nothing_but_what_was_given() -> None:
-    given = {"weber_fraction": 0.1, "lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
-    fit = fit_weber(simulate_trials(trials_per_level=5, seed=1), priors=given)
-    assert fit.map == {}
-    assert "The Weber fraction was given: 0.1" in fit.report()
-    assert "bias fixed at 0" in methods_paragraph(fit)

@@ -11,14 +11,13 @@ import pandas as pd
 import pytest
 from analysis_scripts import load
 from scipy.special import ndtr
-from short_forms import short_or_full, slow_but
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
 from weberwhisk.behaviour import (
     CueEncoding,
     Trials,
-    checks,
     methods_paragraph,
     response_probability,
     simulate_moving,
@@ -184,33 +183,6 @@ def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.Data
     return rows
 
 
-@short_or_full("sessions", 2, 4)
-def test_an_observer_takes_the_contacts_of_each_trial(sessions: int) -> None:
-    """From signals to k: the animal's, where nominal places give three times as much."""
-    observer, covered, off = ENCODING.observer, 0, []
-    for seed in range(sessions):
-        nominal = ww.simulate_trials(
-            standards=20e-3, encoding=ENCODING, trials_per_level=10, seed=1 + seed
-        )
-        trials, located = simulate_moving(
-            nominal, ENCODING, weber_fraction=0.1, scatter=3e-3, sd=1e-4, offset=1e-3, seed=2 + seed
-        )
-        felt = contacts(located, observer, 3 + seed)
-        fit = ww.fit_weber(trials, observer=observer, distances=felt, priors=KNOWN)
-        low, high = fit.interval(0.95)
-        covered += low < 0.1 < high
-        standing = ww.fit_weber(trials, observer=observer, priors=KNOWN)
-        assert standing.interval(0.95)[0] > 0.15
-        off.append(np.log(fit.weber_fraction / 0.1))
-    assert covered >= sessions - 1
-    assert np.sqrt(np.mean(np.square(off))) < 0.35  # a fit's own sd of ln k is 0.25
-    known = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=observer.whisker.youngs_modulus)
-    touch = [f"{r.trial}-{r.interval}" if r.trial > 0 else None for r in felt.itertuples()]
-    by_hand = ww.locate(felt, known, cue=observer.cue, touch=touch)
-    again = ww.fit_weber(trials, observer=observer, distances=by_hand, priors=KNOWN)
-    assert again.weber_fraction == fit.weber_fraction
-
-
 @pytest.mark.parametrize(
     ("seeds", "each"), slow_but([([2], 2), ([2], 4), (range(3, 11), 8)], quick=(0,))
 )
@@ -275,43 +247,6 @@ def test_an_angle_that_the_cue_does_not_know_is_as_located(tmp_path) -> None:
     assert "located" in fit.report()
 
 
-def test_measurement_error_is_no_noise_of_the_animal() -> None:
-    """Places put in without their sds count the error of the video into k."""
-    over = []
-    for seed in range(6):
-        nominal = ww.simulate_trials(
-            standards=20e-3, encoding=ENCODING, trials_per_level=30, seed=seed
-        )
-        trials, located = simulate_moving(
-            nominal, ENCODING, weber_fraction=0.05, scatter=3e-3, sd=1e-3, seed=50 + seed
-        )
-        sure = located.assign(sd_mm=1e-3)
-        over.append(
-            [
-                ww.fit_weber(trials, encoding=ENCODING, distances=d, priors=KNOWN).weber_fraction
-                for d in (located, sure)
-            ]
-        )
-    known, taken_as_exact = np.mean(over, axis=0)
-    assert known == pytest.approx(0.05, rel=0.2)
-    assert taken_as_exact > 1.4 * known
-
-
-def test_an_animal_that_keeps_still_loses_nothing_by_a_poor_measurement() -> None:
-    """Scatter is found to be none, and the nominal places (with their offset) stand."""
-    nominal = ww.simulate_trials(standards=20e-3, encoding=ENCODING, trials_per_level=30, seed=3)
-    trials, located = simulate_moving(
-        nominal, ENCODING, weber_fraction=0.1, scatter=0.0, sd=2e-3, seed=4
-    )
-    placed = with_distances(trials, located, ENCODING)
-    assert placed.frame["stimulus_1_sd"].max() < 0.7e-3
-    one, other = (
-        ww.fit_weber(trials, encoding=ENCODING, distances=d, priors=KNOWN).weber_fraction
-        for d in (located, None)
-    )
-    assert one == pytest.approx(other, rel=0.15)
-
-
 def test_scatter_is_found_by_maximum_likelihood() -> None:
     rng = np.random.default_rng(2)
     sd = rng.uniform(0.2, 2.0, 4000)
@@ -347,20 +282,6 @@ def test_touches_are_joined_combined_and_missed() -> None:
     both = with_distances(trials, twice, ENCODING).frame
     shrunk = 1 / both["stimulus_1_sd"] ** 2 - 1 / plain.frame["stimulus_1_sd"] ** 2
     assert np.sqrt(1 / shrunk.iloc[0]) == pytest.approx(0.7e-3, rel=0.05)
-
-
-def test_populations_take_located_trials() -> None:
-    """What is in the table of trials is in every fit that is made of it, and in its checks."""
-    trials, located = session(1)
-    frame = trials.frame.assign(subject=np.where(np.arange(len(trials)) % 2, "a", "b"))
-    located = located.assign(subject=np.tile(frame["subject"], 2))
-    both = with_distances(replace(trials, frame=frame), located, ENCODING)
-    found = ww.fit_population(both, encoding=ENCODING, priors=KNOWN)
-    nominal = ww.fit_population(replace(trials, frame=frame), encoding=ENCODING, priors=KNOWN)
-    assert (found.subjects["weber_fraction"] < nominal.subjects["weber_fraction"]).all()
-    fit = ww.fit_weber(trials, encoding=ENCODING, distances=located, priors=KNOWN)
-    assert np.all(checks(fit, seed=1)["p"] > 1e-3)
-    assert "located" in fit.report()
 
 
 def test_thousands_of_trials_are_binned_without_moving_the_likelihood() -> None:

@@ -12,7 +12,7 @@ import scipy
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk.behaviour import CueEncoding, effects, methods_paragraph
+from weberwhisk.behaviour import CueEncoding, methods_paragraph
 
 DATA = Path(__file__).parents[2] / "data_synthetic"
 
@@ -49,17 +49,6 @@ def test_what_is_fixed_left_out_or_believed_otherwise_is_said() -> None:
     assert "correlate" not in text
 
 
-@pytest.mark.parametrize("case", ["percent correct", "effects"])
-def test_the_formula_is_said_where_it_is_the_model(case: str) -> None:
-    if case == "effects":
-        floor = effects.effect_named("floor")
-        fit = ww.fit_weber(_read("weights_three_standards.csv"), effects=[floor])
-        assert f"effects: {floor.name}" in methods_paragraph(fit)
-    else:
-        fit = ww.fit_weber(_read("weights_percent_correct.csv"))
-    assert "Φ" not in methods_paragraph(fit)
-
-
 def test_a_whisker_is_described() -> None:
     tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
     trials = _read("distance_tapered.csv")
@@ -80,18 +69,3 @@ def test_a_population_is_described() -> None:
     )
     assert "bias ~ norm(0, 1), spread ~ halfnorm(scale=0.5);" in text
     assert f"status: {found.status.name}" in text
-
-
-def test_what_was_given_is_said_and_who_was_left_out_is_not_counted() -> None:
-    trials = ww.simulate_trials(trials_per_level=20, sessions=3, seed=1)
-    given = ww.fit_weber(trials, priors={"bias": 0.3}, effects=[effects.Drift(prior=0.4)])
-    assert "drift fixed at 0.4, bias fixed at 0.3" in methods_paragraph(given)
-    many, _ = ww.simulate_population(3, trials_per_level=10, seed=1)
-    frame = many.frame.assign(count=(many.frame["count"] - (many.frame["subject"] == "s2")).abs())
-    fit = ww.fit_population(
-        replace(many, frame=frame), priors={"lapse_low": 0.02, "lapse_high": 0.02}
-    )
-    text = methods_paragraph(fit)
-    assert "180 trials of the task 2AFC, of 2 animals" in text
-    assert "s2 stays out" in text
-    assert "lapse_low fixed at 0.02" in text

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
@@ -14,10 +13,9 @@ from weberwhisk.behaviour import (
     response_probability,
     task_named,
 )
-from weberwhisk.design import Goal, Hypothesis, Plan, Scheme, hypotheses
-from weberwhisk.design.plan_file import decode, encode, plan_json, plan_of
-from weberwhisk.design.words import assumptions, preregistration
-from weberwhisk.inference import default_noise
+from weberwhisk.design import Goal, Hypothesis, Plan, Scheme
+from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.design.words import preregistration
 from weberwhisk.sensitivity import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -139,36 +137,6 @@ def looks() -> tuple[Hypothesis, Hypothesis]:
     )
 
 
-@short_or_full("runs", 24, 60)
-def test_power_tells_one_whisker_from_two_and_says_how_often(looks, runs: int) -> None:
-    """The second whisker lowers the JND as far as it reaches, and not beyond."""
-    scheme = Scheme([15e-3, 42e-3], [-4e-3, -2e-3, 2e-3, 4e-3], 75)
-    few = ww.power(scheme, looks, runs=runs, seed=1)
-    more = Scheme([15e-3, 42e-3], [-4e-3, -2e-3, 2e-3, 4e-3], 600)
-    many = ww.power(more, looks, runs=runs, seed=1)
-    assert (many.table["power"] > few.table["power"]).all()
-    assert many.table["power"].min() > 0.5
-
-
-@short_or_full("runs", 24, 60)
-def test_taper_is_told_from_a_cylinder_with_curvature(runs: int) -> None:
-    """Curved observers' predictions are used, and they are the JNDs of their own signals."""
-    tapered, cylindrical = hypotheses.taper(CURVED)
-    straight = hypotheses.taper(WHISKER)[0]
-    r = np.array([20e-3, 40e-3])
-    assert not np.allclose(tapered.encoding.mean(r), straight.encoding.mean(r), rtol=0.02)
-    rng, k = np.random.default_rng(3), 0.1
-    noise = ww.receptors.Weber(k)
-    for hypothesis in (tapered, cylindrical):
-        observer = ww.Observer(hypothesis.encoding.observer.whisker, ww.cues.Compliance(), noise)
-        read = [observer.read(np.full((4000, 1), d), rng)[:, 0] for d in (40e-3, 42e-3)]
-        share = np.mean(read[1] < read[0])  # a softer whisker is met farther out
-        assert share == pytest.approx(chosen(hypothesis.encoding, 40e-3, 42e-3, k), abs=0.025)
-    scheme = Scheme([15e-3, 38e-3], [-3e-3, -1.5e-3, 1.5e-3, 3e-3], 150)
-    found = ww.power(scheme, (tapered, cylindrical), runs=runs, seed=1)
-    assert found.table["power"].min() > 0.5
-
-
 def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
     """One stimulus a trial in the lists; hits and false alarms as the simulated animal has them."""
     both = [Hypothesis(h.name, h.encoding, task="go/no-go") for h in looks]
@@ -210,31 +178,3 @@ def test_plans_keep_curved_pooled_and_placed_observers_in_their_files(looks) -> 
         *(CueEncoding(other, 0.2) for other in others),
     ):
         assert encode(decode(encode(encoding))) == encode(encoding)
-
-
-def test_plans_keep_whose_whisker_it_is_and_say_what_is_left_out() -> None:
-    for curved, said in ((False, ["C2 is taken as straight"]), (True, [])):
-        whisker = ww.Whisker.from_identity("C2", curved=curved)
-        plan = ww.plan_experiment(whisker, trials=20, runs=0)
-        again = plan_of(plan_json(plan))
-        assert again.hypotheses[0].encoding.observer.whisker.identity == whisker.identity
-        for one in (plan, again):
-            assert [s[:23] for s in assumptions(one) if "straight;" in s] == said
-    whole = ww.WhiskerArray("rat", "right")
-    assert "the 30 straight whiskers" in PlaceEncoding(ww.ArrayObserver(whole), (0, 0)).described
-
-
-def test_map_in_space_and_go_no_go_are_planned_without_hypotheses() -> None:
-    """The cue's own noise, which has a floor where directions are zero."""
-    how = {"trials": 20, "runs": 0, "deflection_angle": 0.2, "standards": [30e-3, 40e-3]}
-    goal = Goal(half_width=0.3)
-    plan = ww.plan_experiment(CURVED, goal=goal, cue=ww.cues.SpaceMap(), task="go/no-go", **how)
-    (expected,) = plan.hypotheses
-    assert expected.task == "go/no-go"
-    observer = expected.encoding.observer
-    assert observer.noise == default_noise(CURVED, observer.cue)
-    assert {
-        h.task for h in ww.plan_experiment("C2", task="yes/no", trials=2, runs=0).hypotheses
-    } == {"yes/no"}
-    with pytest.raises(ValueError, match="Hypotheses have their cues and task"):
-        ww.plan_experiment(CURVED, hypotheses=plan.hypotheses, task="2AFC")

@@ -16,7 +16,6 @@ from property_strategies import POWERS, floats, logarithmic
 import weberwhisk as ww
 from weberwhisk.behaviour import (
     TASKS,
-    FitStatus,
     IdentityEncoding,
     LogEncoding,
     Trials,
@@ -83,17 +82,6 @@ def test_swapped_intervals_have_the_other_answer(
         bias=-bias,
     )
     np.testing.assert_allclose(one, 1 - other, atol=1e-12)
-
-
-@given(logarithmic(1e-3, 1e3), K, LAPSE, tasks)
-def test_chances_rise_with_the_difference(
-    standard: float, k: float, lapse: float, name: str
-) -> None:
-    levels = standard * np.linspace(1.0, 4.0, 25)
-    p = response_probability(
-        TASKS[name], IdentityEncoding(), standard, levels, weber_fraction=k, lapse_high=lapse
-    )
-    assert (np.diff(p) >= -1e-12).all()
 
 
 @given(logarithmic(1e-3, 1e3), logarithmic(0.01, 0.5), floats(0.05, 0.95), tasks)
@@ -184,33 +172,3 @@ def test_fits_know_neither_unit_nor_order_nor_form(trials: Trials, unit: float, 
     if len(answered):
         counts = answered.groupby(stimuli, as_index=False)[["n", "count"]].sum()
         alike(fit, fit_weber(replace(trials, frame=counts)), 1e-9)
-
-
-@fits
-@given(simulated(st.sampled_from(["2AFC", "2IFC"])))
-def test_fits_of_swapped_intervals_are_alike(trials: Trials) -> None:
-    frame = trials.frame.copy()
-    frame[["stimulus_1", "stimulus_2"]] = frame[["stimulus_2", "stimulus_1"]].to_numpy()
-    frame["count"] = frame["n"] - frame["count"]
-    one, other = fit_weber(trials), fit_weber(replace(trials, frame=frame))
-    alike(one, other)
-    if "bias" in one.parameters:
-        spread = one.posterior.sd("bias")
-        assert abs(one.posterior.mean("bias") + other.posterior.mean("bias")) < 0.01 * spread
-
-
-@fits
-@given(logarithmic(0.03, 0.4), logarithmic(1e-2, 1e2), LAPSE, floats(-0.5, 0.5), SEEDS)
-def test_a_fit_finds_what_was_simulated(
-    k: float, standard: float, lapse: float, bias: float, seed: int
-) -> None:
-    offsets = k * np.array([-3, -2, -1.2, -0.6, 0.0, 0.6, 1.2, 2, 3]) * 0.8
-    trials = simulate_trials(
-        weber_fraction=k, standards=standard, offsets=np.maximum(offsets, -0.95), lapse_low=lapse,
-        lapse_high=lapse, bias=bias, trials_per_level=80, seed=seed,
-    )  # fmt: skip
-    fit = fit_weber(trials)
-    assert fit.status != FitStatus.NO_TRIALS
-    # Outside by chance once in a hundred thousand tables.
-    low, high = fit.posterior.quantile("weber_fraction", np.array([2.5e-6, 1 - 2.5e-6]))
-    assert low < k < high

@@ -12,7 +12,6 @@ import pytest
 from weberwhisk.behaviour import (
     LogEncoding,
     effects,
-    fit_weber,
     simulate_population,
     simulate_trials,
 )
@@ -176,12 +175,6 @@ def test_a_population_has_the_spread_asked_for() -> None:
     assert np.mean(truth["lapse_low"]) == pytest.approx(0.05, abs=4 * 0.033 / np.sqrt(500))
 
 
-def test_a_population_is_repeatable() -> None:
-    one, two = (simulate_population(2, sessions=2, session_spread=0.3, seed=9) for _ in range(2))
-    pd.testing.assert_frame_equal(one[0].frame, two[0].frame)
-    pd.testing.assert_frame_equal(one[1], two[1])
-
-
 @pytest.mark.parametrize(
     ("options", "part"),
     [
@@ -217,38 +210,6 @@ def test_a_data_package_names_every_column() -> None:
 
 # -- effects -------------------------------------------------------------------------------------
 
-MOVED: dict[str, tuple[effects.Effect, float]] = {
-    "floor": (effects.Floor(), 0.3),
-    "contraction": (effects.Contraction(), 0.3),
-    "history": (effects.History(), 0.6),
-    "drift": (effects.Drift(), -1.0),
-    "overdispersion": (effects.Overdispersion(), 0.1),
-}
-
-
-@pytest.mark.parametrize("name", MOVED)
-def test_what_moves_the_simulated_animal_is_found(name: str) -> None:
-    effect, value = MOVED[name]
-    trials = simulate_trials(
-        standards=[1.0, 2.0, 4.0], offsets=[-0.3, -0.1, 0.1, 0.3], trials_per_level=250, sessions=5,
-        weber_fraction=0.12, effects=[(effect, value)], missing=0.02, seed=41,
-    )  # fmt: skip
-    known = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
-    fit = fit_weber(trials, effects=[effect], priors=known)
-    low, high = fit.interval(0.99, parameter=name)
-    assert low < value < high
-    assert not low < 0 < high
-    low, high = fit.interval(0.99)
-    assert low < 0.12 < high
-
-
-def test_effects_at_nothing_leave_the_answers_alone() -> None:
-    design = {"standards": [1.0, 2.0], "sessions": 3, "missing": 0.05, "drift": -0.4, "bias": 0.2}
-    plain = simulate_trials(**design, seed=7)  # type: ignore[arg-type]
-    none = [(effect, 0.0) for name, (effect, _) in MOVED.items() if name[0] != "o"]
-    moved = simulate_trials(**design, effects=none, seed=7)  # type: ignore[arg-type]
-    pd.testing.assert_frame_equal(plain.frame, moved.frame)
-
 
 @pytest.mark.parametrize(
     ("given", "match"),
@@ -279,13 +240,6 @@ def test_random_order_puts_the_comparison_first_in_half_of_the_trials() -> None:
     plain = simulate_trials(standards=[1.0, 2.0], trials_per_level=10, sessions=2, seed=4).frame
     assert (plain["stimulus_1"] == plain["standard"]).all()
     assert (plain["standard"] == frame["standard"]).all()
-
-
-def test_an_order_needs_two_intervals() -> None:
-    with pytest.raises(ValueError, match="needs a task of two intervals, got task 'yes/no'"):
-        simulate_trials(order="random", task="yes/no", seed=1)
-    with pytest.raises(ValueError, match="order 'randon' is unknown"):
-        simulate_trials(order="randon", seed=1)
 
 
 def test_easy_trials_of_a_scattered_observer_are_answered_right() -> None:

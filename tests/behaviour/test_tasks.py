@@ -11,9 +11,7 @@ import weberwhisk as ww
 from weberwhisk.behaviour import (
     CueEncoding,
     IdentityEncoding,
-    LogAxisEncoding,
     LogEncoding,
-    fit_weber,
     response_probability,
     simulate_trials,
     task_named,
@@ -36,25 +34,6 @@ CONE, CYLINDER = (ww.Whisker(0.05, 1e-4, tip) for tip in (0.0, 1e-4))
 
 def probability(s1, s2, **parameters):  # type: ignore[no-untyped-def]
     return response_probability(TWO, MAGNITUDE, s1, s2, **parameters)
-
-
-def test_signed_choice_is_two_noisy_signals_compared() -> None:
-    rng = np.random.default_rng(1)
-    n, k = 400_000, 0.3
-    for s1, s2 in ((1.0, 1.2), (1.0, 0.7), (2.0, 2.0)):
-        second = s2 * (1 + k * rng.standard_normal(n)) > s1 * (1 + k * rng.standard_normal(n))
-        p = probability(s1, s2, weber_fraction=k)[0]
-        assert abs(second.mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
-
-
-def test_compliance_is_two_noisy_moments_compared() -> None:
-    rng = np.random.default_rng(2)
-    n, k, length = 400_000, 0.2, 0.05
-    near, far = 0.6 * length, 0.65 * length
-    moment = [1 / r - 1 / length for r in (near, far)]
-    felt = [m * (1 + k * rng.standard_normal(n)) for m in moment]
-    p = response_probability(TWO, compliance(CONE), near, far, weber_fraction=k)[0]
-    assert abs((felt[1] < felt[0]).mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
 
 
 @pytest.mark.parametrize("m", [2, 3, 4, 8])
@@ -104,14 +83,6 @@ def test_log_form_knows_only_the_ratio() -> None:
         TWO, LogEncoding(np.log(10)), 0.0, d / np.log(10), weber_fraction=k
     )
     np.testing.assert_allclose(own, decades, rtol=1e-12)
-
-
-def test_equal_variance_forms() -> None:
-    d, k = np.array([-0.2, 0.3]), 0.15
-    linear = probability(2.0, 2.0 * (1 + d), weber_fraction=k, noise="equal-variance")
-    np.testing.assert_allclose(linear, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
-    log = response_probability(TWO, LogAxisEncoding(), 1.0, 1.0 + d, weber_fraction=k)
-    np.testing.assert_allclose(log, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
 
 
 @pytest.mark.parametrize("proportion", [0.01, 0.25, 0.5, 0.75, 0.9])
@@ -289,20 +260,6 @@ def test_every_cue_is_an_encoding_of_distance_with_its_own_jnd(cue: str) -> None
     k = first[first > 0][0] if encoding.has_weber_fraction else 0.123
     found = np.hypot(k * encoding.sd_per_weber_fraction(R), encoding.floor_sd(R))
     np.testing.assert_allclose(found, jnd, rtol=1e-6)
-
-
-def test_choices_by_angles_have_no_weber_fraction_to_fit() -> None:
-    observer = ww.Observer(WHISKER, ww.cues.TwoWhiskers())
-    trials = simulate_trials(standards=R, observer=observer, seed=3)
-    with pytest.raises(ValueError, match="no noise of these signals goes with a Weber fraction"):
-        fit_weber(trials, observer=observer)
-
-
-def test_millimetres_are_metres() -> None:
-    observer = ww.Observer(CONE, ww.cues.Compliance())
-    a = response_probability(TWO, CueEncoding(observer), 0.02, 0.025, weber_fraction=0.2)
-    b = response_probability(TWO, CueEncoding(observer, unit=1e-3), 20, 25, weber_fraction=0.2)
-    assert a == pytest.approx(b, rel=1e-12)
 
 
 def test_distances_without_a_signal_are_refused_with_their_outcome() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,11 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from weberwhisk._util.output import csv_text
 from weberwhisk.behaviour import (
-    Trials,
-    fit_weber,
-    load_numerosity,
     load_rat_auditory,
     read_trials,
     simulate_trials,
@@ -71,13 +66,6 @@ def test_columns_by_any_name_and_text_labels(tmp_path: Path) -> None:
     assert "1 trials have no answer" in trials.notes[0]
 
 
-def test_booleans_are_answers() -> None:
-    frame = pd.DataFrame({"standard": 1.0, "comparison": [1.1, 0.9], "correct": [True, False]})
-    trials = read_trials(frame)
-    assert trials.frame["count"].tolist() == [1.0, 0.0]
-    assert trials.task.name == "2AFC percent correct"
-
-
 def test_counts_and_single_trials_are_the_same_cells() -> None:
     single = simulate_trials(standards=[1.0, 2.0], trials_per_level=5, seed=1)
     c = single.cells()
@@ -89,16 +77,6 @@ def test_counts_and_single_trials_are_the_same_cells() -> None:
         np.testing.assert_array_equal(getattr(c, name), getattr(other, name))
 
 
-def test_cells_gather_every_trial_once() -> None:
-    trials = simulate_trials(standards=[1.0, 2.0], trials_per_level=7, missing=0.1, seed=2)
-    cells = trials.cells()
-    assert cells.n.sum() == trials.n_trials
-    assert cells.count.sum() == np.nansum(trials.frame["count"])
-    grouped = trials.frame.groupby(["standard", "stimulus_2"])["count"]
-    assert cells.n.tolist() == grouped.count().tolist()
-    assert cells.count.tolist() == grouped.sum().tolist()
-
-
 def test_writing_and_reading_come_round(tmp_path: Path) -> None:
     for task in ("2AFC", "3AFC percent correct"):
         trials = simulate_trials(task=task, missing=0.1, subject="r1", sessions=2, seed=3)
@@ -106,18 +84,6 @@ def test_writing_and_reading_come_round(tmp_path: Path) -> None:
         again = read_trials(path, task=task)
         pd.testing.assert_frame_equal(trials.frame, again.frame, check_dtype=False)
         assert [p.name for p in tmp_path.iterdir()] == ["trials.csv"]
-
-
-def test_a_log_ratio_needs_no_magnitudes() -> None:
-    trials = read_trials(pd.DataFrame({"log_ratio": [-0.3, 0.0, 0.4], "choice": [0, 1, 1]}))
-    assert (trials.scale, trials.log_unit) == ("log", 1.0)
-    assert trials.frame["stimulus_1"].tolist() == [0.0, 0.0, 0.0]
-
-
-def test_negative_logarithms_are_no_problem() -> None:
-    frame = pd.DataFrame({"stimulus_1": [-1.0], "stimulus_2": [-2.0], "choice": [0]})
-    assert read_trials(frame, scale="log").log_unit is None
-    assert "above zero" in refusal(frame)
 
 
 @pytest.mark.parametrize(
@@ -134,13 +100,6 @@ def test_standards_are_read_off_the_design(s1: list, s2: list, standards: list) 
     assert read_trials(frame).standards.tolist() == pytest.approx(standards)
 
 
-def test_a_named_standard_is_kept() -> None:
-    frame = pd.DataFrame(
-        {"stimulus_1": [1.0, 1.2], "stimulus_2": [1.1, 1.0], "standard": [1.0, 1.0], "choice": 1}
-    )
-    assert read_trials(frame).standards.tolist() == [1.0]
-
-
 def test_selecting() -> None:
     trials = simulate_trials(sessions=4, seed=4)
     assert trials.select(session=2).sessions == [2]
@@ -149,13 +108,6 @@ def test_selecting() -> None:
         trials.select(session=9)
     with pytest.raises(ValueError, match="did you mean 'session'"):
         trials.select(sesion=1)
-
-
-def test_repeated_rows_are_noted_and_kept() -> None:
-    frame = pd.DataFrame({"trial": [1, 1], "log_ratio": 0.1, "choice": 1})
-    trials = read_trials(frame)
-    assert trials.n_trials == 2
-    assert "1 rows occur more than once, the first in row 2" in trials.notes[0]
 
 
 # -- real data ------------------------------------------------------------------------------------
@@ -170,14 +122,6 @@ def test_the_rats_file() -> None:
     raw = pd.read_csv(Path(__file__).parents[2] / "weberwhisk/data/rat_auditory_2ifc.csv.gz")
     greater = trials.frame["stimulus_2"] > trials.frame["stimulus_1"]
     assert ((trials.frame["count"] == greater) == (raw["correct"] == 1)).all()
-
-
-def test_the_numerosity_file() -> None:
-    trials = load_numerosity()
-    assert trials.subjects == ["s1", "s2"]
-    assert load_numerosity("s2").n_trials == 250
-    raw = pd.read_csv(Path(__file__).parents[2] / "weberwhisk/data/numerosity_2afc.csv")
-    assert (((trials.frame["stimulus_2"] > 0) == trials.frame["count"]) == raw["correct"]).all()
 
 
 # -- what is refused ------------------------------------------------------------------------------
@@ -239,18 +183,6 @@ def test_missing_columns_and_bad_cells_are_named_together(tmp_path: Path) -> Non
     assert len(lines) == len(places)
     assert all(place in line for place, line in zip(places, lines, strict=True)), lines
     assert "did you mean 'compar'" in lines[0]
-
-
-def test_missing_columns_are_all_named(tmp_path: Path) -> None:
-    path = table(tmp_path, "a,b\n1,2\n")
-    lines = refusal(path, columns={"stimulus_1": "s1", "choice": "c"}).splitlines()
-    assert len(lines) == 3
-    assert [name in line for name, line in zip(("'s1'", "'c'", "'stimulus_2'"), lines, strict=True)]
-
-
-def test_many_rows_are_counted_not_listed(tmp_path: Path) -> None:
-    message = refusal(table(tmp_path, GOOD + "1,x,1\n" * 50))
-    assert "rows 3, 4, 5 and 47 more" in message
 
 
 def test_distances_off_the_whisker() -> None:
@@ -401,54 +333,6 @@ def test_distances_in_another_unit_are_refused(factor: float, part: str) -> None
     assert all(part in line and "write distances in metres" in line for line in lines)
 
 
-def test_labels_that_are_numbers_survive_a_gap() -> None:
-    frame = pd.DataFrame({"log_ratio": [0.1, -0.1, 0.2], "choice": [2, 1, None]})
-    trials = read_trials(frame, choice_labels={1: "first", 2: "second"})
-    assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
-    assert trials.n_missing == 1
-
-
-def test_subjects_of_mixed_kinds_are_still_listed() -> None:
-    frame = pd.DataFrame({"subject": ["b", 1, "b "], "log_ratio": 0.1, "choice": 1})
-    assert read_trials(frame).subjects == [1, "b"]
-
-
-def test_a_write_that_fails_leaves_the_old_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trials = read_trials(MADE)
-    path = trials.to_csv(tmp_path / "t.csv")
-    before = path.read_bytes()
-    monkeypatch.setattr(pd.DataFrame, "to_csv", lambda *_, **__: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        trials.to_csv(path)
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
-
-
-def test_nothing_is_dropped_or_changed() -> None:
-    frame = pd.DataFrame({"standard": [1.0, 1.0], "comparison": [1.1, 0.9], "choice": [1, None]})
-    before = frame.copy()
-    trials: Trials = read_trials(frame)
-    pd.testing.assert_frame_equal(frame, before)
-    assert len(trials) == 2
-
-
-def test_two_that_write_one_table_at_once_leave_it_whole(tmp_path: Path) -> None:
-    """They shared a half-written file, and one ended in a traceback."""
-    tables = [simulate_trials(seed=seed, trials_per_level=n) for seed, n in ((1, 40), (2, 10))]
-    path = tmp_path / "trials.csv"
-
-    def write(trials: Trials) -> None:
-        for _ in range(20):
-            trials.to_csv(path)
-
-    with ThreadPoolExecutor() as pool:
-        list(pool.map(write, tables))
-    assert [p.name for p in tmp_path.iterdir()] == ["trials.csv"]
-    assert path.read_text() in [t.table().to_csv(index=False, lineterminator="\n") for t in tables]
-
-
 def test_a_selection_has_its_own_notes(tmp_path: Path) -> None:
     """One animal's report said 16 trials without an answer, and then the 92 of the file."""
     text = (
@@ -468,15 +352,6 @@ def test_a_selection_has_its_own_notes(tmp_path: Path) -> None:
     assert said.select(subject="b").notes == ("The animal was ill.", *one.notes)
 
 
-def test_many_subjects_are_cut_short_and_said_to_be() -> None:
-    frame = pd.DataFrame({"subject": list("edcba"), "stimulus_1": 1.0, "stimulus_2": 1.1})
-    with pytest.raises(ValueError, match=r"5 subjects \('a', 'b', 'c', 'd', …\)"):
-        fit_weber(read_trials(frame.assign(choice=1)))
-    few = frame.assign(choice=1, subject=list("aabbb"))
-    with pytest.raises(ValueError, match=r"2 subjects \('a', 'b'\)"):
-        fit_weber(read_trials(few))
-
-
 @pytest.mark.parametrize("name", ["\x1b[31mred", "a\x07", "a\tb", "zero\u200bwidth"])
 def test_names_that_a_terminal_would_obey_are_refused(name: str) -> None:
     frame = pd.DataFrame({"subject": name, "stimulus_1": [1.0], "stimulus_2": 1.1, "choice": 1})
@@ -493,11 +368,6 @@ def test_a_name_is_no_formula_in_a_spreadsheet(tmp_path: Path, name: str) -> Non
     cell = path.read_text().splitlines()[1].split(",")[0]
     assert cell.startswith("'")
     assert read_trials(path).subjects == trials.subjects == [name.strip()]
-
-
-def test_numbers_below_zero_are_written_as_they_are() -> None:
-    frame = pd.DataFrame({"bias": [-0.5], "text": ["-0.5"], "name": ["a-b"]})
-    assert csv_text(frame) == "bias,text,name\n-0.5,-0.5,a-b\n"
 
 
 def test_labels_that_a_gap_made_into_floats_are_the_same_labels(tmp_path: Path) -> None:
@@ -547,11 +417,6 @@ def test_a_session_called_inf_is_text_and_logical_words_of_a_spreadsheet_are_ans
     assert trials.frame["count"].tolist() == [1.0, 0.0]
 
 
-def test_standards_that_differ_by_rounding_alone_are_one() -> None:
-    table = pd.DataFrame({"standard": [2.0, 2.0000000000000004], "comparison": 2.2, "choice": 1})
-    assert read_trials(table).standards.tolist() == [2.0]
-
-
 def test_the_one_stimulus_of_every_row_is_the_standard() -> None:
     """In random order each pair was its own standard, never shown."""
     trials = simulate_trials(order="random", seed=1)
@@ -584,11 +449,3 @@ def test_a_label_may_stand_for_no_answer() -> None:
     trials = read_trials(table, choice_labels=labels | {"timeout": "none"})
     assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
     assert (trials.n_trials, trials.n_missing) == (2, 1)
-
-
-def test_trials_say_how_many_they_are():
-    trials = simulate_trials(weber_fraction=0.15, seed=1)
-    said = repr(trials)
-    assert said.startswith(f"<Trials: {trials.n_trials} with an answer, in {len(trials)} rows")
-    assert "2AFC" in said
-    assert "DataFrame" not in said

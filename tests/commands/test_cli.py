@@ -77,14 +77,6 @@ def test_bend_by_contact_gives_what_press_gives(capsys: pytest.CaptureFixture[st
     assert list(table["model"]) == ["elastica"] * 3
 
 
-def test_bend_by_force_gives_the_known_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    scene = ["--arc-length-mm", "35", "--force-micronewton", "87.55567343"]
-    (row,) = rows(answer(capsys, "bend", *SOFT, *scene)).to_dict("records")
-    assert row["contact_angle_deg"] == pytest.approx(60, abs=1e-6)
-    assert row["moment_micronewton_metre"] == pytest.approx(2.311082, rel=1e-6)
-    assert (row["arc_length_mm"], row["force_micronewton"]) == (35, 87.55567343)
-
-
 def test_bend_combines_each_with_each(capsys: pytest.CaptureFixture[str]) -> None:
     lists = ["--radial-distance-mm", "10, 15.7", "--radial-distance-mm", "31.4"]
     angles = ["--deflection-angle-deg", "-7.5,7.5"]
@@ -122,23 +114,6 @@ def test_bend_identity_modulus_seed_and_model(capsys: pytest.CaptureFixture[str]
     assert stiff == pytest.approx(2 * rows(mean)["moment_micronewton_metre"][0], rel=1e-12)
     forced = result("--model", "closed_form")
     assert list(rows(forced)["model"]) == ["closed_form"] * 3
-
-
-def test_bend_prints_a_table_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_app(cli.app, ["bend", *SOFT, *CONTACT]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    lines = printed.out.splitlines()
-    assert lines[0] == (
-        "Whisker: 50 mm long, radius 100 µm at the base and 5 µm at the tip, 3 GPa."
-    )
-    assert "moment_micronewton_metre" in lines[1]
-    assert [line.split()[-3] for line in lines[2:5]] == ["held", "flicked_past", "out_of_reach"]
-    assert lines[5].startswith("Flicked past: ")
-    assert lines[6].startswith("Out of reach: ")
-    assert lines[7].startswith("At k = 0.1, the straight elastica is enough for 1 of 1: ")
-    assert len(lines) == 8
-    assert "nan" not in printed.out
 
 
 def test_bend_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -296,16 +271,6 @@ def test_completion_lists_commands_without_importing_them() -> None:
     assert (out.split(), err) == (["rehearse", "[]"], "")
 
 
-def test_help_groups_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_app(cli.app, ["jnd", "--help"]) == 0
-    printed = capsys.readouterr().out
-    for group, option in (
-        ("Whisker:", "--tip-radius-um"), ("Cue and receptors:", "--cue"), ("Results:", "--json")
-    ):  # fmt: skip
-        section = printed[printed.index(group) :].split("\n\n")[0]
-        assert option in section
-
-
 def test_every_command_has_the_common_options() -> None:
     commands = every_command()
     assert "bend" in commands
@@ -430,14 +395,6 @@ def test_process_answers_and_refuses() -> None:
     assert err.count("\n") == 1
 
 
-def test_process_with_a_bug_shows_its_traceback() -> None:
-    process = start(f"import weberwhisk as ww; ww.press = None; {COMMAND}", "bend", *SOFT, *CONTACT)
-    out, err = process.communicate()
-    assert (process.returncode, out) == (1, "")
-    assert err.startswith("Traceback (most recent call last):")
-    assert err.endswith("TypeError: 'NoneType' object is not callable\n")
-
-
 @pytest.mark.parametrize("many", [False, True])
 def test_process_whose_reader_goes_is_quiet(many: bool) -> None:
     angles = ",".join(map(str, np.linspace(1, 10, 5000 if many else 2)))
@@ -505,16 +462,6 @@ def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> N
     assert result == answer(capsys, "jnd", *SOFT, *scene)
 
 
-def test_jnd_criterion_scales_every_length(capsys: pytest.CaptureFixture[str]) -> None:
-    scene = ["jnd", "--identity", "C2", "--radial-distance-mm", "20", "--draws", "10"]
-    one, other = (
-        rows(answer(capsys, *scene)),
-        rows(answer(capsys, *scene, "--criterion", "75% 2AFC")),
-    )
-    for column in ("closed_form_mm", "posterior_mm", "estimator_error_mm"):
-        assert other[column][0] / one[column][0] == pytest.approx(0.953873, rel=1e-6)
-
-
 def test_jnd_of_the_force_map_combines_each_with_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -554,33 +501,6 @@ def test_choices_by_other_cues_and_receptors(
     assert run_app(cli.app, [*again, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["lower"] < 0.1 < found["upper"]
-
-
-def test_choices_by_angles_are_simulated_and_not_fitted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, out = [*SOFT, "--cue", "two-whiskers"], tmp_path / "out"
-    assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
-    assert "constant noise of the cue's own" in capsys.readouterr().out
-    assert json.loads((out / "truth.json").read_text())["weber_fraction"] is None
-    said = refused(capsys, "fit", str(out / "trials.csv"), *scene)
-    assert "there is no Weber fraction to find" in said
-
-
-@pytest.mark.once
-def test_effects_are_simulated_and_fitted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    moved = ["--effect", "contraction:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
-    moved += ["--seed", "2"]
-    assert run_app(cli.app, ["simulate", *moved, "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out.splitlines()[-1]
-    assert said.endswith(" --effect contraction")
-    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"contraction": 0.4}
-    again = said.removeprefix("Fit them with: weberwhisk ").split()
-    assert run_app(cli.app, [*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["parameters"]["contraction"]
-    assert found["lower"] < 0.4 < found["upper"]
 
 
 @pytest.mark.parametrize("cue", sorted(SCENES))
@@ -707,17 +627,6 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     made = {path.name for path in out.iterdir()}
     figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
     assert made == {"fit.json", "fit.run.json", "subjects.csv"} | figures
-
-
-@pytest.mark.once
-def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_app(cli.app, ["simulate", "--out", str(tmp_path)]) == 0
-    capsys.readouterr()
-    file = str(tmp_path / "trials.csv")
-    known = ["fit", file, "--bias", "none"]
-    one, other = answer(capsys, *known), answer(capsys, *known, "--method", "emcee")
-    assert other["settings"]["method"] == "emcee"  # type: ignore[index]
-    assert other["weber_fraction"] == pytest.approx(one["weber_fraction"], rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -859,18 +768,3 @@ def test_bend_draws_its_figure_whatever_is_held(tmp_path: Path) -> None:
         out = tmp_path / str(i)
         assert run_app(cli.app, ["bend", *C2, *scene, "--out", str(out)]) == 0
         assert {p.suffix for p in out.iterdir()} == {".csv", ".json", ".png", ".svg"}
-
-
-@pytest.mark.once
-def test_compared_observers_are_those_that_were_fitted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made = ww.simulate_trials(standards=[1.0, 4.0], trials_per_level=10, seed=1)
-    file = tmp_path / "trials.csv"
-    made.table().assign(subject=7).to_csv(file, index=False)  # a number there
-    trials = ["fit", str(file), "--subject", "7"]
-    found = answer(capsys, *trials, "--noise", "equal-variance", "--effect", "history",
-                   "--bias", "none", "--compare", "noise")  # fmt: skip
-    rows = {row["model"]: row for row in found["comparison"]["rows"]}  # type: ignore[index, call-overload]
-    own = found["log_evidence"]
-    assert rows["Weber noise"]["log_evidence"] == pytest.approx(own, abs=1e-6)

@@ -78,14 +78,6 @@ def test_design_answers_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["power"] is None
 
 
-def test_design_tells_people_the_same(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_app(cli.app, [*DESIGN, "--runs", "0"]) == 0
-    said = capsys.readouterr().out
-    assert "1 animal × 96 trials in 1 session, 96 in all" in said
-    assert "standard 20 mm, offsets ±" in said
-    assert "Assumed:" in said
-
-
 def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "rehearsal"
     assert run_app(cli.app, [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]) == 0
@@ -96,40 +88,6 @@ def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: P
     table = pd.read_csv(out / "rehearsal.csv")
     expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).table
     pd.testing.assert_frame_equal(table, expected)
-
-
-def test_a_rehearsal_broken_off_goes_on(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from weberwhisk.design import experiment
-
-    calls: list[int] = []
-    resumed: list[int] = []
-    whole = experiment.one_experiment
-
-    def breaks(chunk: dict[str, object], seed: object) -> pd.DataFrame:
-        calls.append(1)
-        if len(calls) == 3 and not resumed:
-            raise KeyboardInterrupt
-        return whole(chunk, seed)  # type: ignore[arg-type]
-
-    breaks.__module__, breaks.__qualname__ = whole.__module__, whole.__qualname__
-    out = tmp_path / "rehearsal"
-    command = [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]
-    monkeypatch.setattr(experiment, "one_experiment", breaks)
-    assert run_app(cli.app, command) == 130
-    (stream,) = out.iterdir()
-    # A header and two experiments, or one: quick ones go together, and are kept together.
-    kept = len(stream.read_text().splitlines()) - 1
-    assert kept in (1, 2)
-    calls.clear()
-    resumed.append(1)
-    assert run_app(cli.app, command) == 0
-    assert len(calls) == 4 - kept
-    monkeypatch.undo()
-    assert not stream.exists()
-    expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).table
-    pd.testing.assert_frame_equal(pd.read_csv(out / "rehearsal.csv"), expected)
 
 
 @pytest.mark.parametrize(

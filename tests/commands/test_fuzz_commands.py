@@ -9,23 +9,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import chdir, contextmanager
-from dataclasses import replace
+from contextlib import chdir
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest import mock
 
-import pandas as pd
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from test_fuzz import NUMBERS, WHISKERS, WORDS, check, deadline, refused, refused_by_us, run
-
-import weberwhisk as ww
-from weberwhisk.design import Goal, Plan, Scheme, plan_json, read_plan, taper
+from test_fuzz import NUMBERS, WHISKERS, WORDS, check, refused, run
 
 #: Whole numbers that a command can carry out in a moment, and those that it must refuse.
 COUNTS = st.sampled_from(["1", "2", "3", "0", "-1", "1.5", "nan", "x", "", "9" * 400, "١", "1e3"])
@@ -103,94 +96,6 @@ def test_any_conversation_goes_on_or_is_refused(talk: tuple[list[str], str]) -> 
     assert err == ""
     for line in out.splitlines():
         assert isinstance(json.loads(line, parse_constant=pytest.fail), dict)
-
-
-PLAN = Plan(
-    Scheme([15e-3, 25e-3], [-2e-3, 2e-3], 4),
-    taper(ww.Whisker(33.6e-3, 69.5e-6, 1.75e-6)),
-    Goal(bayes_factor=10),
-)
-POWER = pd.DataFrame({"truth": ["tapered"], "trials": [32], "power": [0.5], "se": [0.1]})
-TEXT = plan_json(replace(PLAN, power=POWER))
-
-
-@st.composite
-def plans(draw: st.DrawFn) -> bytes:
-    """A plan's file, cut short, with bytes changed, or with a value of another kind."""
-    if draw(st.booleans()):
-        record = json.loads(TEXT)
-        place, name = record, draw(st.sampled_from(sorted(record)))
-        while isinstance(place[name], dict | list) and place[name] and draw(st.integers(0, 3)):
-            place = place[name]
-            names = sorted(place) if isinstance(place, dict) else range(len(place))
-            name = draw(st.sampled_from(names))
-        place[name] = draw(
-            st.sampled_from([None, -1, 0, 1.5, "x", [], {}, [[1]], True, 1e308, "NaN", 10**30])
-        )
-        return json.dumps(record).encode()
-    content = bytearray(TEXT.encode())
-    if draw(st.booleans()):
-        content = content[: draw(st.integers(0, len(content)))]
-    for at in draw(st.lists(st.integers(0, max(len(content) - 1, 0)), max_size=3)):
-        content[at : at + 1] = draw(st.binary(max_size=2))
-    return bytes(content)
-
-
-@settings(max_examples=3 * settings.default.max_examples)
-@given(plans())
-def test_a_damaged_plan_is_read_or_refused(content: bytes) -> None:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "plan.json"
-        path.write_bytes(content)
-        with deadline():
-            try:
-                # What is read is the plan that was written: its lists are signed.
-                assert read_plan(path).fingerprint == PLAN.fingerprint
-            except ValueError as refusal:
-                if not (refused_by_us(refusal) and str(path) in str(refusal)):
-                    raise
-
-
-@given(
-    st.sampled_from(["plan.json", "plan.json", "none.json", ".", ""]),
-    st.lists(
-        st.tuples(st.sampled_from(["--runs", "--workers", "--seed"]), COUNTS),
-        min_size=1,
-        max_size=2,
-    ),
-    st.booleans(),
-)
-def test_any_rehearsal_is_done_or_refused(
-    file: str, given_options: list[tuple[str, str]], as_json: bool
-) -> None:
-    words = ["rehearse", file, "--runs", "1", "--workers", "1"]
-    # Processes are started by `test_campaign`; many take long by intent.
-    words += [w for pair in given_options for w in pair if pair != ("--workers", "2")][:4]
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "plan.json").write_text(TEXT, "utf-8")
-        with mock.patch("weberwhisk._util.campaign._processes", _one_process):
-            check([*words, "--json"] if as_json else words, Path(folder))
-
-
-@contextmanager
-def _one_process(workers: int) -> Iterator[tuple[ThreadPoolExecutor, object]]:
-    with ThreadPoolExecutor(1) as pool:
-        yield pool, lambda: None
-
-
-@settings(max_examples=6)
-@given(
-    st.sampled_from(["--weber-fraction", "--draws", "--identity", "--seed", "--out", "x"]),
-    st.one_of(st.sampled_from(["-1", "nan", "x", "1.5", "", "inf", "-inf"]), st.text(max_size=4)),
-)
-def test_quickstart_refuses_what_it_does_not_know(option: str, value: str) -> None:
-    """What it would carry out takes seconds, and other tests do it."""
-    words = ["quickstart", option, value]
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "file").write_text("")
-        if option in ("--out", "--seed"):
-            words = ["quickstart", "--out", "file"]  # a folder that is a file
-        check(words, Path(folder))
 
 
 # -- at once ---------------------------------------------------------------------------

@@ -123,14 +123,3 @@ def test_it_says_on_the_terminal_what_it_wrote(run: tuple[Path, str, str]) -> No
     assert (folder / "quickstart.txt").read_text("utf-8") in out
     assert f"Written to {folder}: " in out
     assert "D1 whisker" in out
-
-
-@pytest.mark.parametrize(("misfit", "word"), [(0.0, "miss"), (0.05, "barely meet"), (0.5, "meet")])
-def test_words_for_a_misfit(misfit: float, word: str) -> None:
-    assert quickstart._fits(misfit) == word
-
-
-def test_words_for_lapses() -> None:
-    assert quickstart._most_lapses(0.02, 0.05) == ""
-    assert quickstart._most_lapses(0.2, 0.19) == ""
-    assert "hardly inattention" in quickstart._most_lapses(0.3, 0.05)

@@ -15,7 +15,6 @@ import pandas as pd
 import pytest
 
 import weberwhisk
-from weberwhisk._util import output
 from weberwhisk._util.output import Run, atomic_write, to_json
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
@@ -83,20 +82,6 @@ def test_real_figure(tmp_path: Path) -> None:
     assert "dc:date" not in svg
 
 
-def test_without_a_folder_nothing_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with Run(None, "bend", {}) as run:
-        run.table("bend", TABLE)
-        run.figure("bend", Drawing())
-        with pytest.raises(
-            ValueError, match=r"no folder for 'x\.h5'; give the run an output folder"
-        ):
-            run.path("x.h5")
-    assert tree(tmp_path) == {}
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("there", [False, True])
 def test_a_failure_changes_nothing(tmp_path: Path, error: type[BaseException], there: bool) -> None:
@@ -109,15 +94,6 @@ def test_a_failure_changes_nothing(tmp_path: Path, error: type[BaseException], t
         run.table("bend", TABLE)
         raise error
     assert tree(tmp_path) == before
-
-
-def test_inputs_without_a_plain_form_change_nothing(tmp_path: Path) -> None:
-    with (
-        pytest.raises(TypeError, match="object has no JSON form"),
-        Run(tmp_path / "out", "bend", {"what": object()}) as run,
-    ):
-        run.table("bend", TABLE)
-    assert tree(tmp_path) == {}
 
 
 def test_second_run_replaces_its_own_files_and_no_others(tmp_path: Path) -> None:
@@ -149,15 +125,6 @@ def test_a_foreign_file_in_the_way_is_refused(tmp_path: Path, directory: bool) -
     assert tree(tmp_path) == before
 
 
-def test_a_foreign_file_that_comes_meanwhile_is_refused(tmp_path: Path) -> None:
-    run = Run(tmp_path, "bend", {}).__enter__()
-    run.table("bend", TABLE)
-    (tmp_path / "bend.csv").write_text("my data")
-    with pytest.raises(ValueError, match="would be overwritten"):
-        run.__exit__(None, None, None)
-    assert tree(tmp_path) == {"bend.csv": "my data"}
-
-
 @pytest.mark.parametrize(
     "text", ["", "{}", "[]", '{"files": 3}', '{"files": ["../mine.txt"]}', '{"files": [""]}']
 )
@@ -172,14 +139,6 @@ def test_a_record_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     assert tree(tmp_path) == before
 
 
-def test_a_folder_under_an_earlier_name_stays(tmp_path: Path) -> None:
-    make(tmp_path, 1.0, extra=True)
-    (tmp_path / "bend.png").unlink()
-    (tmp_path / "bend.png").mkdir()
-    make(tmp_path, 2.0)
-    assert set(tree(tmp_path)) == {"bend.csv", "bend.png/", "bend.run.json"}
-
-
 def test_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("mine")
     with pytest.raises(ValueError, match=r"out' is a file; name a folder, or a new one\.$"):
@@ -187,16 +146,6 @@ def test_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"cannot be written \(Not a directory\); name a folder"):
         make(tmp_path / "out" / "below")
     assert tree(tmp_path) == {"out": "mine"}
-
-
-def test_unwritable_out_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*arguments: object, **options: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    # Root may write anywhere: permissions won't do.
-    monkeypatch.setattr(output.tempfile, "mkdtemp", refuse)
-    with pytest.raises(ValueError, match=r"out' cannot be written \(Permission denied\); name a"):
-        make(tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -55,24 +55,6 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
         assert "d'=1" in ax.get_ylabel()
 
 
-def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
-    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).table
-    table["posterior_mm"] = np.nan
-    assert plots.jnd_lines(table).containers == []
-
-
-def test_lines_of_two_angles_are_not_joined_and_no_closed_form_has_no_line() -> None:
-    force_map = ww.Observer(WHISKER, ww.cues.ForceMap())
-    curve = ww.jnd_curve(
-        force_map, [20e-3, 25e-3, 20e-3, 25e-3], [0.1, 0.1, 0.2, 0.2], n_readings=4, seed=1
-    )
-    ax = plots.jnd_lines(curve.table, length=50e-3)
-    assert [list(line.get_xdata()) for line in ax.get_lines()[:1]] == [[0.4, 0.5]]
-    assert ax.get_ylabel().startswith("JND/L,")  # no Weber fraction was given
-    ax = plots.jnd_lines(curve.table.assign(closed_form_mm=np.nan))
-    assert not any("closed form" in str(line.get_label()) for line in ax.get_lines())
-
-
 def test_a_posterior_that_is_not_there_says_so_and_three_signals_need_three_axes() -> None:
     ax = plots.posterior_histogram(ww.posterior(observer(), [np.nan]))
     assert "no posterior" in ax.texts[0].get_text()
@@ -126,26 +108,6 @@ def test_psychometrics_has_a_panel_for_each_standard(fit: ww.WeberFit) -> None:
     axes = plots.psychometrics(fit, unit="g")
     assert [ax.get_title() for ax in axes] == ["standard 1", "standard 2"]
     assert plots.figure_of(axes).get_supxlabel() == "Second stimulus (g)"
-
-
-def test_psychometric_of_given_parameters_has_no_band(fit: ww.WeberFit) -> None:
-    known = {"weber_fraction": 0.15, "lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
-    exact = ww.fit_weber(fit.trials, priors=known)
-    ax = plots.psychometric(exact, standard=1.0)
-    legend = ax.get_legend()
-    assert legend is not None
-    named = [text.get_text() for text in legend.get_texts()]
-    assert named == ["given parameters", "standard", "choices, 95 %"]
-
-
-def test_log_column_is_drawn_by_difference() -> None:
-    table = pd.DataFrame(
-        {"stimulus_1": [0.0, 1.0] * 20, "stimulus_2": [1.0, 0.0] * 20, "choice": [1, 0] * 20}
-    )
-    fit = ww.fit_weber(ww.read_trials(table, scale="log"))
-    ax = plots.psychometric(fit)
-    np.testing.assert_allclose(ax.containers[0].lines[0].get_xdata(), [1.0, -1.0])
-    assert "log column" in ax.get_xlabel()
 
 
 def test_binomial_intervals_are_jeffreys() -> None:
@@ -202,45 +164,10 @@ def test_svg_files_are_repeatable(fit: ww.WeberFit, tmp_path: Path) -> None:
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
 
 
-def test_png_has_enough_dots(fit: ww.WeberFit) -> None:
-    assert plots.figure_of(plots.psychometric(fit, standard=1.0)).dpi >= 150
-
-
-def test_residuals_outside_the_band_are_marked() -> None:
-    table = pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3.0]})
-    ax = plots.residuals(table)
-    marked = next(line for line in ax.get_lines() if line.get_label() == "outside")
-    np.testing.assert_array_equal(marked.get_xdata(), [2, 3])
-    np.testing.assert_array_equal(marked.get_ydata(), [2.5, -3.0])
-
-
 @pytest.fixture(scope="module")
 def population() -> ww.PopulationFit:
     trials, _ = ww.simulate_population(3, trials_per_level=6, spread=0.8, seed=2)
     return ww.fit_population(trials)
-
-
-def test_shrinkage_shows_every_animal_twice(population: ww.PopulationFit) -> None:
-    fit = population
-    ax = plots.shrinkage(fit)
-    table = fit.subjects.sort_values("alone")
-    drawn = [bars.lines[0].get_xdata() for bars in ax.containers]
-    np.testing.assert_allclose(drawn[0], table["alone"])
-    np.testing.assert_allclose(drawn[1], table["weber_fraction"])
-
-
-def test_every_animals_choices_and_curve_are_in_one_figure(population: ww.PopulationFit) -> None:
-    panel, beside = plots.population(population, unit="mm")
-    assert [ax.get_xlabel() for ax in (panel, beside)] == ["Second stimulus (mm)", "Weber fraction"]
-    curves = {line.get_label(): line for line in panel.get_lines() if "alone" in line.get_label()}
-    assert list(curves) == [f"{name}, alone" for name in population.subjects["subject"]]
-    for name, one in population.fits.items():
-        x, y = curves[f"{name}, alone"].get_data()
-        np.testing.assert_allclose(y, one.psychometric(x, 1.0)["median"])
-        cells = one.trials.cells()
-        shares = [line for line in panel.get_lines() if line.get_linestyle() == "None"]
-        assert any(np.array_equal(s.get_ydata(), cells.count / cells.n) for s in shares)
-    assert plots.population(population, Figure().subplots()).get_xlabel() == "Weber fraction"
 
 
 def test_names_that_no_font_shows_are_drawn(
@@ -255,19 +182,6 @@ def test_names_that_no_font_shows_are_drawn(
     drawn = {label.get_text() for label in ax.get_yticklabels()}
     assert {r"\x1b[31mred\x07", r"\U0001f400 \u9f20\u200b"} <= drawn
     assert max(map(len, drawn)) <= 26
-
-
-def test_pairs_show_the_draws(fit: ww.WeberFit) -> None:
-    grid = plots.pairs(fit)
-    names = fit.parameters
-    assert grid.shape == (len(names),) * 2
-    assert not grid[0, 1].get_visible()
-    x, y = grid[1, 0].get_lines()[0].get_data()
-    assert (x > 0).all()
-    assert abs(np.median(x) - fit.weber_fraction) < 0.2 * fit.posterior.sd("weber_fraction")
-    assert (y >= 0).all()
-    assert (y <= 1).all()
-    assert not grid[0, 0].get_yticks().size
 
 
 @pytest.mark.slow
