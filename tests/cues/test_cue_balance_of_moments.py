@@ -1,8 +1,5 @@
 """Balance of moments (§2h): the angle at which muscle and whisker balance, effort known or felt."""
 
-import pickle
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
@@ -159,34 +156,6 @@ def test_the_posterior_with_a_felt_effort_is_the_brute_force_integral():
     assert p.sd == pytest.approx(sd, rel=1e-4)
 
 
-def test_an_effort_felt_exactly_is_a_known_one_but_for_what_is_flat():
-    """Flat in (r, θ) at one effort is 1/|∂effort/∂θ| in r: the known effort's prior, reweighted."""
-    felt = ww.Observer(W, FELT, GeneralisedWeber([0.0, 2e-3], floor=[np.radians(1.0), 0.0]))
-    angle = float(KNOWN.signals(W, np.array([20e-3]))[0][0])
-    p = ww.posterior(felt, [angle, 1.0], tolerance=1e-4)
-    r = np.linspace(1e-4, 0.9999, 20_000) * KNOWN.farthest(W)
-    weight = np.exp(ww.Observer(W, KNOWN).log_likelihood([angle], r[:, None]))
-    theta = KNOWN.signals(W, r[:, None])[0][:, 0]
-    weight /= FELT.jacobian(W, np.stack([r, theta], axis=-1))[:, 1, 1]
-    mean = weight @ r / weight.sum()
-    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
-    assert p.mean == pytest.approx(mean, abs=5e-3 * sd)
-    assert p.sd == pytest.approx(sd, rel=5e-3)
-
-
-def test_an_effort_that_is_felt_with_more_noise_tells_less():
-    r = np.array([25e-3, 0.08])
-    jnds = [
-        float(
-            weber_propagation(
-                ww.Observer(W, FELT, GeneralisedWeber([0.0, k], floor=[0.01, 0.0])), r
-            )
-        )
-        for k in (1e-4, 0.05, 0.2)
-    ]
-    assert np.all(np.diff(jnds) > 0)
-
-
 def test_intervals_hold_the_truth_as_often_as_they_say():
     observer = ww.Observer(W, KNOWN)
     r = np.random.default_rng(5).random((2000, 1)) * KNOWN.farthest(W)
@@ -240,14 +209,6 @@ def test_misuse_is_refused_in_one_sentence(make, words):
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert "\n" not in str(error.value)
-
-
-def test_another_curve_has_its_own_gain_and_the_users_stays():
-    printed, named = BalanceOfMoments(curve=MuscleCurve.PRINTED), BalanceOfMoments(gain=3.0)
-    for cue in (BalanceOfMoments(), pickle.loads(pickle.dumps(BalanceOfMoments()))):
-        assert replace(cue, curve=MuscleCurve.PRINTED) == printed
-    assert replace(printed, curve=MuscleCurve.NORMALISED) == BalanceOfMoments()
-    assert replace(named, curve=MuscleCurve.PRINTED).gain == 3.0
 
 
 def test_the_edge_is_known_where_some_curvatures_reach_no_further():

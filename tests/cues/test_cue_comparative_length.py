@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
-from scipy import stats
-from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -76,18 +74,6 @@ def test_the_jacobian_is_the_slope_of_the_chances(cue):
     assert np.allclose(cue.jacobian(W, r), expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
-@short_or_full("which", [3], [0, 3, 7])
-def test_more_poses_change_little(which):
-    """What five nodes in each direction are worth, in sds of the posterior."""
-    many = ComparativeLength(ROW.lengths, ROW.bases, sweeps=ROW.sweeps, poses=11)
-    few, exact = (ww.Observer(W, cue) for cue in (ROW, many))
-    for touches in ROW.reports[which]:
-        mean, sd = moments_by_midpoints(exact, touches, 600)
-        p = ww.posterior(few, touches)
-        assert p.mean == pytest.approx(mean, abs=0.01 * sd)
-        assert p.sd == pytest.approx(sd, rel=0.01)
-
-
 def test_a_longer_whisker_that_touches_alone_puts_the_object_between_the_lengths():
     """§2b, with bases side by side and everything known: an interval."""
     cue = sure([45e-3], [[0.0, 1e-5]])
@@ -118,30 +104,6 @@ def test_a_shorter_whisker_can_touch_what_a_longer_one_does_not():
     cut = 5e-3 / np.tan(np.radians(20))  # nearer than this the object is past its sector
     assert beside.interval(W, [1, 0])[:2] == pytest.approx((0, cut), rel=1e-6)
     assert beside.signals(W, np.array([10e-3]))[0][2] == pytest.approx(1, abs=1e-9)
-
-
-def test_an_uncertain_head_makes_the_interval_uncertain():
-    sds = [
-        float(ww.posterior(ww.Observer(W, cue), [0, 1]).sd)
-        for cue in (
-            sure([45e-3], [[0.0, 1e-5]]),
-            ComparativeLength([45e-3], [[0.0, 1e-5]], position_sd=0.0),
-            ComparativeLength([45e-3], [[0.0, 1e-5]], position_sd=3e-3, base_sd=3e-3, poses=7),
-        )
-    ]
-    assert np.all(np.diff(sds) > 0.02 * sds[0])
-
-
-def test_more_whiskers_tell_more():
-    """Of a pole in front of the snout; at the bases it may be behind some whiskers."""
-    prior = {"radial_distance": stats.uniform(10e-3, 50e-3)}
-    sds = [
-        ww.jnd_curve(ww.Observer(W, cue, prior=prior), 30e-3, n_readings=400, seed=1)["posterior"][
-            0
-        ]
-        for cue in (PAIR, EIGHT)
-    ]
-    assert sds[1] < 0.5 * sds[0]
 
 
 def test_a_pole_beside_the_bases_may_be_behind_some_of_the_whiskers():
@@ -196,12 +158,6 @@ def test_information_is_that_of_the_pattern(cue):
         (s[u] ** 2 / c[u]).sum() ** -0.5 for s, c, u in zip(slope, chance, used, strict=True)
     ]
     assert fisher_jnd(ww.Observer(W, cue), r) == pytest.approx(expected, rel=1e-6)
-
-
-def test_posteriors_of_patterns_go_to_arviz():
-    p = ww.posterior(ww.Observer(W, ROW), [[0, 1, 0], [1, 1, 1]])
-    data = p.to_arviz(draws=50, seed=1)
-    assert data["posterior"]["radial_distance"].shape == (4, 50, 2)
 
 
 def test_it_says_where_it_does_not_work():

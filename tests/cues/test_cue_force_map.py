@@ -87,14 +87,6 @@ def test_the_moment_is_inverted_at_a_known_angle():
     assert np.isnan(found[0, 0])
 
 
-def test_a_known_angle_reaches_as_far_as_it_is_held():
-    cue = ForceMap("moment", deflection_angle=np.radians(24.5732))
-    assert cue.farthest(W) == pytest.approx(0.7 * W.length, rel=1e-5)
-    signals, outcome = cue.signals(W, np.array([[0.71 * W.length]]))
-    assert outcome[0] == Outcome.FLICKED_PAST
-    assert np.isnan(signals).all()
-
-
 @pytest.mark.parametrize("cue", slow_but([PAIRS[1], KNOWN[0], KNOWN[1], ALL], (1, 3)), ids=repr)
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue, replace(default_noise(W, cue), correlation=0.3))
@@ -135,22 +127,6 @@ def test_posteriors_have_the_propagated_width_at_small_noise(cue, noise):
     contact = np.array([[20e-3, 0.2, 1.0], [32e-3, 0.2, 1.0]])[:, : len(cue.unknowns)]
     noise = noise or default_noise(W, cue, 0.01)
     small_noise_limit(ww.Observer(W, cue, noise), contact, draws=30, bias=5e-3)
-
-
-@pytest.mark.parametrize("rho", [-0.9, -0.3, 0.0, 0.5, 0.95])
-@pytest.mark.parametrize("k", [(0.1, 0.1), (0.1, 0.01), (0.02, 0.2)])
-def test_the_closed_form_of_the_pair_holds_for_any_noise(k, rho):
-    """Δr = ½(A−r)(3A−2r)/(2A−r)·√(4k_M² + k_F² − 4ρk_Mk_F) at small angle."""
-    contact = contacts(20)
-    contact[:, 1] = 1e-4
-    r, a = contact[:, 0], W.apex_distance
-    expected = 0.5 * (a - r) * (3 * a - 2 * r) / (2 * a - r)
-    expected *= np.sqrt(4 * k[0] ** 2 + k[1] ** 2 - 4 * rho * k[0] * k[1])
-    observer = ww.Observer(W, ForceMap(), Weber(k, correlation=rho))
-    assert weber_propagation(observer, contact) == pytest.approx(expected, rel=1e-4)
-    assert weber_propagation(observer, contact, model="closed_form") == pytest.approx(
-        expected, rel=1e-12
-    )
 
 
 def test_moment_over_transverse_force_is_the_distance_at_small_angle():

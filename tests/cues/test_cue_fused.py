@@ -1,7 +1,5 @@
 """Several cues on one contact: the joint posterior, what each tells, and what they add."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from cue_checks import (
@@ -18,7 +16,6 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import (
-    AngleSideAngle,
     Compliance,
     ForceMap,
     Friction,
@@ -124,15 +121,6 @@ def test_joint_noise_scatters_as_its_covariance_says():
     covariance = BLOCKS.covariance(SIGNALS[0])
     scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     assert np.allclose(np.cov(drawn.T) / scale, covariance / scale, atol=0.04)
-
-
-def test_joint_noise_of_one_kind_is_that_kind():
-    """Two independent blocks of Weber noise are Weber noise of two signals."""
-    one = ww.Observer(W, ForceMap(), Weber([0.1, 0.2]))
-    two = ww.Observer(W, ForceMap(), Joint([Weber(0.1), Weber(0.2)], sizes=[1, 1]))
-    reading = one.read([25e-3, 0.3], seed=1)
-    p, q = (ww.posterior(o, reading) for o in (one, two))
-    assert (p.mean, p.sd) == pytest.approx((q.mean, q.sd), rel=1e-9)
 
 
 # -- posteriors --------------------------------------------------------------------------------
@@ -246,27 +234,6 @@ def test_information_is_that_of_a_brute_force_sum(cue):
     assert abs(bits.value - told) < 4 * bits.error + 10 * np.mean(~inside)
 
 
-def test_prior_draws_have_the_priors_distribution():
-    observer = ww.Observer(W, ForceMap())
-    ours, theirs = fusing.prior_draws(observer, 4000, 1), prior_draws(observer, 4000, 2)
-    for i in range(2):
-        assert stats.ks_2samp(ours[:, i], theirs[:, i]).pvalue > 1e-3
-    prior = {"deflection_angle": stats.norm(0.3, 0.2), "radial_distance": stats.uniform(0.01, 0.02)}
-    observer = ww.Observer(W, ForceMap(), prior=prior)
-    ours, theirs = fusing.prior_draws(observer, 4000, 1), prior_draws(observer, 4000, 2)
-    for i in range(2):
-        assert stats.ks_2samp(ours[:, i], theirs[:, i]).pvalue > 1e-3
-
-
-def test_what_cues_add_is_less_than_what_they_tell_alone():
-    table = ww.added_information(ww.Observer(W, MAP_AND_TAP), n_readings=60, seed=1)
-    assert table["cue"].tolist() == [*map(repr, MAP_AND_TAP.cues), "all"]
-    error = 4 * np.hypot(table["alone_error_bits"], table["added_error_bits"])
-    assert np.all(table["added_bits"][:2] < (table["alone_bits"] + error)[:2])
-    assert table["alone_bits"][2] > table["alone_bits"][:2].max() - error.max()
-    assert np.all(table["added_bits"][:2] > -error[:2])
-
-
 def test_the_prior_of_distance_is_the_mean_of_what_is_held():
     """Of what is held at the most friction it was up to 8 % off."""
     observer = ww.Observer(W, Friction(ForceMap()))
@@ -276,17 +243,6 @@ def test_the_prior_of_distance_is_the_mean_of_what_is_held():
     held = observer.space.angle_range(contact[..., 0], contact)[1].mean(axis=1)
     ratio = observer.distance_prior(r) / held
     assert ratio == pytest.approx(ratio[0], rel=2e-3)
-
-
-def test_the_cues_of_a_fusion_alone_have_its_reach():
-    """The tap's was to the tip, with 0.36 bits more to tell."""
-    fused = ww.Observer(W, Fused(Compliance(), AngleSideAngle()), tolerance=0.05)
-    parts = fusing.alone(fused)
-    assert {part.reach for part in parts} == {fused.reach}
-    assert {part.tolerance for part in parts} == {0.05}
-    own = fusing.DistancePrior(parts[0])
-    assert own.cdf(own.ppf([0.1, 0.9])) == pytest.approx([0.1, 0.9])
-    assert own.sf(0.0) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -308,11 +264,3 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
-
-
-def test_a_fusion_is_replaced_as_every_cue_is() -> None:
-    """`dataclasses.replace` ended in a TypeError."""
-    assert repr(replace(MAP_AND_TAP)) == repr(MAP_AND_TAP)
-    assert repr(replace(MAP_AND_TAP, cues=TWO_TAPS.cues)) == repr(TWO_TAPS)
-    with pytest.raises(ValueError, match="two cues or more, got 1"):
-        replace(MAP_AND_TAP, cues=[Compliance()])

@@ -10,7 +10,6 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.behaviour import CueEncoding
 from weberwhisk.cues import (
     ForceMap,
     Friction,
@@ -22,13 +21,12 @@ from weberwhisk.cues import (
     UnknownStiffness,
 )
 from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
-from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.mechanics import rod
 from weberwhisk.mechanics.curved_surface import SIX
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
-from weberwhisk.sensitivity import fisher_jnd, prior_draws, weber_propagation
+from weberwhisk.sensitivity import prior_draws
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 CURVED = replace(W, curvature=8.0)
@@ -54,11 +52,6 @@ def test_signals_and_inverse_are_those_of_the_rod():
     found, outcome = SpaceMap().contact(W, bent.moment[:, 1:], bent.axial_force)
     assert np.all(outcome == Outcome.HELD)
     assert np.allclose(found, CONTACT, rtol=1e-5)
-
-
-def test_a_second_plane_costs_no_distance():
-    plain = fisher_jnd(ww.Observer(W, ForceMap(SIGNALS)), CONTACT[:, :2])
-    assert fisher_jnd(ww.Observer(W, SpaceMap()), CONTACT) == pytest.approx(plain, rel=1e-9)
 
 
 def test_posteriors_have_the_propagated_width_at_small_noise():
@@ -172,24 +165,6 @@ def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unkno
     for i, estimate in enumerate(parts):
         assert estimate.mean == pytest.approx(mean[i], abs=2e-3 * sd[i])
         assert estimate.sd == pytest.approx(sd[i], rel=2e-3)
-
-
-@pytest.mark.slow  # layers of two unknowns in space take a minute
-@pytest.mark.parametrize("wrapped", [UnknownStiffness, Friction])
-def test_an_unknown_of_the_sizes_leaves_the_azimuth_to_itself(wrapped):
-    found, alone = (
-        ww.posterior(ww.Observer(W, wrapped(cue), noise), reading)
-        for cue, noise, reading in (
-            (SpaceMap(), FLOORED, np.array([1.9e-6, 2.1e-5, 5.5e-5, 1.1, 1.2])),
-            (ForceMap(SIGNALS), FLOORED.noises[0], np.array([1.9e-6, 2.1e-5, 5.5e-5])),
-        )
-    )
-    assert found.estimates["azimuth"].mean == pytest.approx(1.15, abs=1e-4)
-    for name, exact in alone.estimates.items():
-        assert found.estimates[name].mean == pytest.approx(exact.mean, abs=4e-3 * exact.sd)
-        assert found.estimates[name].sd == pytest.approx(exact.sd, rel=4e-3)
-        ends = alone.interval(of=name)
-        assert found.interval(of=name) == pytest.approx(ends, abs=2e-2 * exact.sd)
 
 
 def test_a_curved_whisker_keeps_the_protocol():
@@ -323,33 +298,6 @@ def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it()
         assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
 
 
-@pytest.mark.slow  # layers of two unknowns in space take a minute
-def test_a_curvature_that_is_all_but_known_is_known():
-    """One table for all, and sums over nodes; the other has a table of its own."""
-    cue = UnknownCurvature(SpaceMap(IN_SPACE), 0.02)
-    place = np.column_stack([CONTACT * [1, 0.5, 1], [0.02, -0.04, 0.06]])
-    exact = cue.signals(CURVED, place, model="rod")[0]
-    assert cue.signals(CURVED, place)[0] == pytest.approx(exact, rel=2e-4, abs=1e-9)
-    noise = default_noise(CURVED, SpaceMap())
-    known, unknown = (
-        ww.Observer(CURVED, cue, noise) for cue in (SpaceMap(), UnknownCurvature(SpaceMap(), 0.02))
-    )
-    reading = known.read([30e-3, 0.25, 2.0], seed=4)
-    one, other = ww.posterior(known, reading), ww.posterior(unknown, reading)
-    assert other.status == ww.Status.CONVERGED
-    for name, estimate in one.estimates.items():
-        assert other.estimates[name].mean == pytest.approx(estimate.mean, abs=2e-3 * estimate.sd)
-        assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
-        wide = 0.15 if name == "azimuth" else 0.02  # of which slices are 0.4 sd apart
-        off = np.abs(other.interval(of=name) - one.interval(of=name))
-        assert off.max() < wide * estimate.sd
-    assert other.estimates["curvature_offset"].sd == pytest.approx(0.02, rel=2e-3)
-    draws = other.draws_of(2000, 1)[0].reshape(-1, 4).T
-    for column, estimate in zip(draws, other.estimates.values(), strict=True):
-        assert column.mean() == pytest.approx(estimate.mean, abs=0.05 * estimate.sd)
-        assert column.std() == pytest.approx(estimate.sd, rel=0.05)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("rubs", [False, True])
 def test_an_unknown_friction_or_curvature_mixes_posteriors_of_those_that_are_known(rubs):
@@ -382,25 +330,6 @@ def test_an_unknown_friction_or_curvature_mixes_posteriors_of_those_that_are_kno
     low, high = found.interval(0.9)
     draws = found.draws_of(5000, 1)[0][..., 0]
     assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.9, abs=0.01)
-
-
-@pytest.mark.slow  # layers of two unknowns in space take a minute
-def test_jnds_are_those_of_the_information():
-    observer = ww.Observer(CURVED, SpaceMap())
-    place = np.array([[30e-3, 0.25, 2.0]])
-    jnd = fisher_jnd(observer, place)
-    assert 0.2e-3 < jnd[0] < 2e-3
-    assert fisher_jnd(ww.Observer(CURVED, SpaceMap(SPACE)), place)[0] < jnd[0]
-    curve = ww.jnd_curve(observer, 30e-3, 0.25, n_readings=4, seed=1)
-    straight = ww.jnd_curve(ww.Observer(W, SpaceMap()), 30e-3, 0.25, n_readings=4, seed=1)
-    assert curve["closed_form"][0] == pytest.approx(straight["closed_form"][0], rel=1e-2)
-    assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
-
-
-def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
-    cue = UnknownStiffness(SpaceMap(IN_SPACE))
-    soft, stiff = cue.signals(CURVED, [[30e-3, 0.25, 2.0, 0.5], [30e-3, 0.25, 2.0, 1.0]])[0]
-    assert soft / stiff == pytest.approx([0.5] * 8 + [1.0] * 3)
 
 
 def test_what_space_does_not_know_is_refused():
@@ -456,11 +385,6 @@ def test_directions_are_read_on_a_circle():
     )
 
 
-def known_and_unknown(spread, **changed):
-    whisker = replace(CURVED, **changed)
-    return [ww.Observer(whisker, cue) for cue in (SpaceMap(), UnknownRoll(SpaceMap(), spread))]
-
-
 def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
     cue, known = UnknownRoll(SpaceMap(IN_SPACE), 0.3), SpaceMap(IN_SPACE)
     roll = np.array([0.7, -0.4, 2.0])
@@ -477,24 +401,6 @@ def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
     for i, angle in enumerate(roll):
         same = SpaceMap(IN_SPACE, roll=angle).signals(CURVED, place[i])[0]
         assert found[i] == pytest.approx(same, rel=1e-9)
-
-
-@pytest.mark.slow  # layers of two unknowns in space take a minute
-@pytest.mark.parametrize(("changed", "spread"), [({}, 1e-6), ({"curvature": 0.0}, 0.3)])
-def test_a_roll_that_is_known_or_has_no_effect_leaves_the_rest_as_it_is(changed, spread):
-    """Where the prior leaves nothing open, and where the whisker is straight."""
-    known, unknown = known_and_unknown(spread, **changed)
-    reading = known.read([30e-3, 0.25, 2.0], seed=4)
-    p, q = ww.posterior(known, reading), ww.posterior(unknown, reading)
-    assert p.status == q.status == ww.Status.CONVERGED
-    for name, exact in p.estimates.items():
-        found = q.estimates[name]
-        assert found.mean == pytest.approx(exact.mean, abs=1e-5 * exact.sd)
-        assert found.sd == pytest.approx(exact.sd, rel=1e-5)
-    assert q.log_evidence == pytest.approx(p.log_evidence, abs=1e-5)
-    assert q.estimates["roll"].mean == pytest.approx(0.0, abs=1e-4 * spread)
-    assert q.estimates["roll"].sd == pytest.approx(spread, rel=1e-4)
-    assert ("nothing tells the roll" in unknown.note) == (changed != {})
 
 
 def plain_sum(observer, reading, found, counts):
@@ -561,61 +467,6 @@ def test_posteriors_of_an_unknown_roll_are_those_of_a_plain_sum(signals, roll, s
         assert estimate.sd == pytest.approx(sd[i], rel=off)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "prior",
-    [
-        {"azimuth": stats.uniform(1.5, 0.7)},
-        {"roll": stats.norm(0.1, 0.2)},
-        {"azimuth": stats.norm(1.8, 0.2), "roll": stats.uniform(-0.1, 0.5)},
-    ],
-    ids=lambda prior: " and ".join(prior),
-)
-def test_priors_of_your_own_with_an_unknown_roll_are_those_of_a_plain_sum(prior):
-    observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), 0.3), prior=prior)
-    reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
-    found = ww.posterior(observer, reading)
-    if set(prior) == {"azimuth"}:  # whose ends four axes of few nodes see badly, and say so
-        assert found.status == ww.Status.IMPRECISE
-        return
-    assert found.status == ww.Status.CONVERGED
-    mean, sd = plain_sum(observer, reading, found, (29, 29, 61, 61))
-    for i, estimate in enumerate(found.estimates.values()):
-        off = max(5e-3, 3 * float(estimate.mean_error / estimate.sd))
-        assert estimate.mean == pytest.approx(mean[i], abs=off * sd[i])
-        assert estimate.sd == pytest.approx(sd[i], rel=off)
-
-
-@pytest.mark.slow
-def test_jnds_count_what_is_not_known_of_the_roll():
-    place = np.array([[30e-3, 0.25, 1.5, 0.0]])
-    jnds = []
-    for spread in (1e-6, 0.1, 0.3):
-        known, unknown = known_and_unknown(spread)
-        jnds.append([weber_propagation(unknown, place)[0], fisher_jnd(unknown, place)[0]])
-    assert jnds[0] == pytest.approx(
-        [weber_propagation(known, place[:, :3])[0], fisher_jnd(known, place[:, :3])[0]], rel=1e-6
-    )
-    assert np.all(np.diff(jnds, axis=0) > 0)
-    # A curve is at the middle of the azimuth's prior.
-    about = {"azimuth": stats.uniform(1.5 - np.pi, 2 * np.pi)}
-    curve = ww.jnd_curve(replace(unknown, prior=about), 30e-3, 0.25, n_readings=2, seed=1)
-    assert curve["fisher"][0] == pytest.approx(jnds[-1][1], rel=1e-6)
-    assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
-
-
-def test_choices_by_it_are_encoded_and_kept_in_plans():
-    place = np.array([[30e-3, 0.25, 0.0, 0.0]])
-    for observer in known_and_unknown(0.3):
-        encoding = CueEncoding(observer, deflection_angle=0.25)
-        sd = encoding.own_fraction * encoding.sd_per_weber_fraction(30e-3)
-        whole = np.hypot(sd, encoding.floor_sd(30e-3))
-        assert whole == pytest.approx(
-            weber_propagation(observer, place[0, : len(observer.unknowns)])
-        )
-        assert decode(encode(encoding)) == encoding
-
-
 @pytest.mark.parametrize("rolls", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
     """Turned by −1 rad a contact has the same posterior: it ended at the prior's end, at π."""
@@ -637,28 +488,6 @@ def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
         assert p.estimates[name].sd == pytest.approx(found.sd, rel=1e-3)
     low, high = p.interval(of="azimuth")
     assert low < -np.pi < high or low < np.pi < high
-
-
-@pytest.mark.slow
-def test_draws_and_laplace_agree_with_the_sums_of_an_unknown_roll():
-    _, unknown = known_and_unknown(0.3)
-    reading = unknown.read([30e-3, 0.25, 2.0, 0.2], seed=4)
-    p, q = (ww.posterior(unknown, reading, m, seed=1) for m in ("quadrature", "laplace"))
-    for name, exact in p.estimates.items():
-        assert q.estimates[name].mean == pytest.approx(exact.mean, abs=0.3 * exact.sd)
-    draws = p.draws_of(2000, 1)[0].reshape(-1, 4)
-    for i, estimate in enumerate(p.estimates.values()):
-        assert draws[:, i].mean() == pytest.approx(estimate.mean, abs=0.05 * estimate.sd)
-        assert draws[:, i].std() == pytest.approx(estimate.sd, rel=0.05)
-
-
-@pytest.mark.slow
-def test_an_unknown_stiffness_is_summed_on_a_curved_whisker_in_space_too():
-    """It met an IndexError."""
-    observer = ww.Observer(CURVED, UnknownStiffness(SpaceMap(), 0.2))
-    found = ww.posterior(observer, observer.read([30e-3, 0.25, 2.0, 1.1], seed=4))
-    assert found.status == ww.Status.CONVERGED
-    assert abs(found.mean - 30e-3) < 3 * found.sd
 
 
 def test_a_tip_that_is_pushed_straight_in_space_is_outside_the_domain():

@@ -10,7 +10,6 @@ from short_forms import short_or_full, slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
-from weberwhisk.inference import sweeping
 from weberwhisk.inference.sweeping import SweepFilter, follow
 from weberwhisk.mechanics import elastica, profile
 from weberwhisk.mechanics import objects as slip
@@ -51,20 +50,6 @@ def test_exact_moments_give_the_contact_and_the_contour(sweeps, name):
     assert np.all(np.abs(track.deflection_angle - theta)[5:] < 5e-5)
     turn = np.array([[np.cos(first), -np.sin(first)], [np.sin(first), np.cos(first)]])
     assert np.allclose(track.path[5:], contact[5:] @ turn.T, atol=4e-6)
-
-
-def test_errors_of_the_step_are_of_second_order(sweeps):
-    """From a known start: the trapezoid rule's error falls by four when steps are halved."""
-    r, theta, moment, _, _ = sweeps["cylinder"]
-    start, errors = (r[5], theta[5]), []
-    for stride in (8, 4, 2):
-        kept = np.arange(5 + stride, 30, stride)
-        kept = kept[kept <= 29]
-        track = follow(W, PUSH[kept] - PUSH[5], moment[kept], start=start)
-        at = np.flatnonzero(kept == 29)[0]
-        errors.append(abs(track.radial_distance[at] - r[29]))
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all((orders > 1.7) & (orders < 2.6))
 
 
 def test_a_wall_is_followed_from_where_its_flank_touches():
@@ -141,22 +126,6 @@ def test_walls_that_the_tip_meets_are_followed(depth):
         assert np.all(track.outcome[3:] == Outcome.HELD)
     assert np.sqrt(np.nanmean(np.square(off))) < 1.3
     assert np.nanmax(np.abs(off)) < 4
-
-
-def test_objects_met_by_the_flank_alone_miss_walls(monkeypatch):
-    push, r, moment = swept_wall(2.5e-3)
-    monkeypatch.setattr(sweeping, "TIP_SHARE", 0.0)
-    felt = Weber(0.1).sample(moment[:, None], 101)[:, 0]
-    track = SweepFilter(W, Weber(0.1))(push, felt, seed=1)
-    assert np.sqrt(np.nanmean(np.square((track.radial_distance - r) / track.distance_sd))) > 5
-
-
-def test_a_deep_wall_holds_the_whisker_at_its_limit():
-    """There an r off by a few hundredths of a millimetre is several sd: nothing is claimed."""
-    push, _, moment = swept_wall(39e-3)
-    track = SweepFilter(W, Weber(0.1))(push, Weber(0.1).sample(moment[:, None], 7)[:, 0], seed=1)
-    assert np.all(track.outcome == Outcome.AT_LIMIT)
-    assert np.isnan(track.radial_distance).all()
 
 
 @pytest.mark.parametrize(
@@ -250,22 +219,6 @@ def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, fricti
     assert np.all(np.abs(np.nanmean(square, axis=0) - 1) < 4 * error)
 
 
-@pytest.mark.slow
-def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
-    """Moments good to 2 %: after 30 steps the update is further off than the filter."""
-    r, _, moment, _, _ = sweeps["cylinder"]
-    rng = np.random.default_rng(6)
-    errors = []
-    for _ in range(16):
-        readings = Weber(0.02).sample(moment[:, None], rng)[:, 0]
-        followed = follow(W, PUSH[4::5], readings[4::5])
-        filtered = SweepFilter(W, Weber(0.02), particles=1000)(PUSH, readings, rng)
-        off = [t.radial_distance[-1] - r[-1] for t in (followed, filtered)]
-        errors.append(np.nan_to_num(off, nan=W.length))
-    followed, filtered = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert filtered < followed
-
-
 @short_or_full("steps", 15, 24)
 @pytest.mark.parametrize(("curvature", "friction"), [(8.0, -0.3), (-20.0, 0.0)])
 def test_curved_and_rubbing_whiskers_are_followed(curvature, friction, steps):
@@ -288,17 +241,6 @@ def test_curved_and_rubbing_whiskers_are_followed(curvature, friction, steps):
     assert np.nanmax(np.abs(straight)) > 2e-5
 
 
-def test_a_curvature_that_goes_to_nothing_changes_nothing(sweeps):
-    """Neither the update nor the filter, which then run on the table of the planar beam."""
-    push, moment = PUSH[::3], sweeps["cylinder"][2][::3]
-    hardly = replace(W, curvature=1e-9)
-    one, other = (follow(w, push, moment).radial_distance for w in (W, hardly))
-    assert other == pytest.approx(one, rel=1e-6)
-    one, other = (SweepFilter(w, particles=1000)(push, moment, seed=1) for w in (W, hardly))
-    assert other.radial_distance == pytest.approx(one.radial_distance, rel=1e-6)
-    assert other.distance_sd == pytest.approx(one.distance_sd, rel=1e-6)
-
-
 def test_an_unknown_friction_is_carried_along():
     """On a peg the product of the likelihoods, summed over friction, by the planar beam itself."""
     whisker, push = replace(W, curvature=8.0), PUSH[3:22:6]
@@ -317,14 +259,6 @@ def test_an_unknown_friction_is_carried_along():
     track = made(push, reading, seed=4)
     assert track.radial_distance[-1] == pytest.approx(mean, abs=0.2 * sd)
     assert track.distance_sd[-1] == pytest.approx(sd, rel=0.15)
-
-
-def test_results_repeat_with_the_seed():
-    readings = elastica.press(W, 30e-3, PUSH[:4]).moment
-    made = SweepFilter(W, particles=500)
-    a, b, c = (made(PUSH[:4], readings, seed=s).radial_distance for s in (1, 1, 2))
-    assert np.array_equal(a, b)
-    assert not np.array_equal(a, c)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,10 @@ from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
-from weberwhisk.cues import Compliance, ForceMap, Vibration, VibrissaLength
+from weberwhisk.cues import Compliance, ForceMap, Vibration
 from weberwhisk.inference.laplace import count_peaks, is_divided
 from weberwhisk.mechanics import modes
 from weberwhisk.receptors import GeneralisedWeber, Weber
-from weberwhisk.sensitivity import weber_propagation
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 R = np.array([[10e-3], [25e-3], [42e-3]])
@@ -81,19 +80,6 @@ def test_intervals_cover_over_many_draws(cue):
 def test_posteriors_have_the_propagated_width_at_small_noise():
     cue = Vibration(4, phase=True)
     small_noise_limit(ww.Observer(W, cue, cue.noise(1e-3, 1e-4)), R, draws=50, bias=5e-3)
-
-
-@pytest.mark.parametrize("count", [2, 3, 6])
-def test_ratios_know_what_amplitudes_of_unknown_strength_know(count):
-    """Σ(l_n − l̄)²/k², l_n = d ln|φ_n|/dr, is what is left once J is unknown."""
-    k, r = 0.02, R[:, 0]
-    cue = Vibration(count)
-    step = 1e-7
-    up, down = (np.log(np.abs(modes.modes(W, count).shape(r + s * step))) for s in (1, -1))
-    slope = (up - down) / (2 * step)
-    spread = ((slope - slope.mean(axis=0)) ** 2).sum(axis=0)
-    jnd = weber_propagation(ww.Observer(W, cue, cue.noise(k, 1e-9)), R)
-    assert jnd == pytest.approx(k / np.sqrt(spread), rel=1e-5)
 
 
 def test_the_ratios_posterior_is_that_of_amplitudes_with_the_strength_integrated_out():
@@ -206,12 +192,6 @@ def test_walkers_jump_from_peak_to_peak_or_say_why_not(scenes):
         if count == 2:
             assert is_divided(observer, readings).all()
             assert good.mean() > 0.8
-
-
-def test_a_flat_top_is_one_peak():
-    """No touch: every distance beyond the whisker alike."""
-    observer = ww.Observer(W, VibrissaLength(spread=0.05))
-    assert np.all(count_peaks(observer, VibrissaLength.reports, 0.9) == 1)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import Cue, VibrissaLength
-from weberwhisk.receptors import Events
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -93,17 +92,6 @@ def test_a_known_length_leaves_an_interval(event, low, high):
     )
 
 
-def test_an_uncertain_length_widens_what_the_tip_tells():
-    sds = [
-        float(ww.posterior(ww.Observer(W, VibrissaLength(spread=s)), TIP).sd)
-        for s in (1e-3, 0.02, 0.05, 0.1, 0.18)
-    ]
-    assert np.all(np.diff(sds) > 0)
-    # To first order the spread's variance adds to that of the zone: distance is u·length, with u
-    # even over the zone.
-    assert sds[1] == pytest.approx(np.hypot(0.1 / np.sqrt(12), 0.02 * 0.95) * W.length, rel=2e-3)
-
-
 @EVERY
 def test_intervals_hold_the_truth_as_often_as_they_say(cue):
     r = np.random.default_rng(7).random((2000, 1)) * cue.farthest(W)
@@ -147,16 +135,6 @@ def test_it_says_where_it_does_not_work():
     assert np.all(outcome == Outcome.OUT_OF_REACH)
     table = ww.jnd_curve(ww.Observer(W, cue), 90e-3, n_readings=3, seed=1)
     assert table["outcome"][0].startswith("out of reach")
-
-
-def test_other_engines_agree_or_say_that_they_do_not():
-    observer = ww.Observer(W, VibrissaLength(), Events(VibrissaLength.reports, misreport=0.05))
-    exact = ww.posterior(observer, TIP)
-    sampled = ww.posterior(observer, TIP, method="emcee", seed=1)
-    assert sampled.mean == pytest.approx(exact.mean, abs=0.1 * exact.sd)
-    assert sampled.sd == pytest.approx(exact.sd, rel=0.1)
-    flat = ww.posterior(observer, [TIP, SHAFT], method="laplace")
-    assert flat.status.tolist() == [ww.Status.NOT_GAUSSIAN, ww.Status.UNIDENTIFIED]
 
 
 @pytest.mark.parametrize(

@@ -71,12 +71,6 @@ def test_the_jacobian_is_the_slope_of_the_signals(cue, model):
         )
 
 
-def test_a_light_tap_is_the_limit_of_a_finite_one():
-    r = np.linspace(0.05, 0.95, 10)[:, None] * W.length
-    light, finite = Compliance().signals(W, r)[0], Compliance(tap_angle=1e-4).signals(W, r)[0]
-    assert np.allclose(light, finite, rtol=1e-6)
-
-
 def test_compliance_reaches_as_far_as_the_tap_can_be_held():
     cue = Compliance(tap_angle=np.radians(24.5732))
     assert cue.farthest(W) == pytest.approx(0.7 * W.length, rel=1e-5)

@@ -68,35 +68,8 @@ def test_each_factor_is_what_it_is_alone(method):
         assert np.allclose(p.log_evidence, alone.log_evidence + factor, rtol=0, atol=2e-3)
 
 
-def test_draws_of_the_factors_stand_side_by_side():
-    observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
-    p = ww.posterior(observer, readings(observer, 3))
-    draws = p.draws_of(500, 1)
-    assert draws.shape == (3, 4, 500, 3)
-    for i, name in enumerate(observer.unknowns):
-        error = draws[..., i].mean(axis=(1, 2)) - p.estimates[name].mean
-        assert np.abs(error / p.estimates[name].sd).max() < 4 / np.sqrt(2000)
-    lone = draws[0, ..., 2].ravel()
-    assert abs(np.corrcoef(lone[:-1], lone[1:])[0, 1]) < 4 / np.sqrt(2000)
-
-
 def test_directions_that_contradict_each_other_are_improbable():
     observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
     y = readings(observer, 2)
     y[1, 3:] = [0.0, 1.0]
     assert ww.posterior(observer, y).status.tolist() == [0, Status.IMPROBABLE_READING]
-
-
-def test_noise_of_all_signals_in_one_says_the_same():
-    whole = ww.Observer(
-        W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[*FORCES.floor, FLOOR, FLOOR])
-    )
-    split = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
-    y = readings(split, 5)
-    y = y[np.abs(y[:, 3]) < 2.8]
-    a, b = ww.posterior(whole, y), ww.posterior(split, y)
-    for name in split.unknowns:
-        off = np.abs(a.estimates[name].mean - b.estimates[name].mean)
-        assert np.all(off < 0.01 * b.estimates[name].sd)
-        assert np.allclose(a.estimates[name].sd, b.estimates[name].sd, rtol=0.01)
-    assert np.allclose(a.log_evidence, b.log_evidence, rtol=0, atol=0.02)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
-from typing import Any
-
 import numpy as np
 import pytest
-from analysis_scripts import load
 from scipy.special import ndtr
-from scipy.stats import beta, lognorm, norm
+from scipy.stats import beta
 
 import weberwhisk as ww
 from weberwhisk import cues as kinds
@@ -17,20 +13,16 @@ from weberwhisk.behaviour import CueEncoding
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.design import (
     Constraints,
-    Goal,
-    Hypothesis,
     Scheme,
     SubjectPopulation,
     best_scheme,
     information,
     noises,
-    smallest,
     taper,
-    with_priors,
 )
-from weberwhisk.design.best import Precision, _Search, _sites
+from weberwhisk.design.best import Precision
 from weberwhisk.design.experiment import WIDE
-from weberwhisk.design.experiments import compare, fit
+from weberwhisk.design.experiments import fit
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -126,111 +118,7 @@ def test_information_after_trials_is_that_of_brute_force():
         assert table["weber_fraction_bits"][1e3 * standard] == pytest.approx(wanted, abs=3e-3)
 
 
-def test_information_is_the_mean_log_posterior_ratio_of_simulated_answers():
-    """E ln(p(k | y)/p(k)), the other way round: answers first, then their posteriors."""
-    (known,) = with_priors(
-        [Hypothesis("a", IdentityEncoding(), bias="none")], lapse_low=0.02, lapse_high=0.02,
-        weber_fraction=lognorm(0.5, scale=0.2),
-    )  # fmt: skip
-    wanted = information([known], [1.0], [0.2])["weber_fraction_bits"][0]
-    rng = np.random.default_rng(1)
-    k = 0.2 * np.exp(0.5 * rng.standard_normal(200_000))
-
-    def up(k):
-        return 0.02 + 0.96 * ndtr(0.2 / (k * np.hypot(1.0, 1.2)))
-
-    yes = rng.random(k.size) < up(k)
-    x = np.linspace(-5, 5, 4001)
-    marginal = norm.pdf(x) @ up(0.2 * np.exp(0.5 * x)) * (x[1] - x[0])
-    gain = np.where(yes, np.log2(up(k) / marginal), np.log2((1 - up(k)) / (1 - marginal)))
-    assert wanted == pytest.approx(gain.mean(), abs=4 * gain.std() / np.sqrt(k.size))
-
-
-def test_information_is_the_slope_of_what_is_expected_to_be_known():
-    """One trial more, in place of its expectation: the drop of the entropy of k, by differences."""
-    (known,) = with_priors(
-        [Hypothesis("a", IdentityEncoding(), bias="none")], lapse_low=0.02, lapse_high=0.02
-    )
-    x = np.linspace(-6, 6, 6001)
-
-    def entropy(log_like):
-        post = np.exp(log_like - 0.5 * x**2)
-        post /= post.sum()
-        return -(post @ np.log2(np.maximum(post, 1e-300)))
-
-    p = 0.02 + 0.96 * ndtr(0.3 / (0.1 * np.exp(np.log(3) * x) * np.hypot(1.0, 1.3)))
-    prior = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
-    chance = prior @ p
-    drop = entropy(0 * x) - chance * entropy(np.log(p)) - (1 - chance) * entropy(np.log1p(-p))
-    table = information([known], [1.0], [0.3])
-    assert table["weber_fraction_bits"][0] == pytest.approx(drop, abs=1e-4)
-    # One hypothesis: its JND is k times a number, and there is nothing to tell apart.
-    assert table["jnd_bits"][0] == pytest.approx(drop, abs=1e-4)
-    assert table["hypothesis_bits"][0] == 0
-
-
-def test_what_is_known_already_is_not_told_again():
-    before = Scheme.spaced(TAPERED.encoding, [15e-3, 42e-3], trials=20)
-    fresh, after = (
-        information((TAPERED, CYLINDRICAL), [15e-3, 30e-3, 42e-3], [1.5e-3], after=scheme)
-        for scheme in (None, before)
-    )
-    for about in ("weber_fraction_bits", "jnd_bits", "hypothesis_bits"):
-        assert (after[about] > 0).all()
-    assert (after["weber_fraction_bits"] < 0.2 * fresh["weber_fraction_bits"]).all()
-
-
-def test_any_cue_has_information_and_what_is_not_felt_has_none():
-    lapsing = Hypothesis("map", CueEncoding(ww.Observer(WHISKER, kinds.ForceMap()), 0.1))
-    table = information([lapsing], [20e-3, 44e-3], [-1e-3, 1e-3, 8e-3])
-    assert np.isnan(table["weber_fraction_bits"].to_numpy()).tolist() == [False] * 5 + [True]
-    assert (table["weber_fraction_bits"].dropna() > 0).all()
-
-
 # -- the best scheme -----------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_no_exchange_and_no_other_pair_of_standards_is_better():
-    """A problem small enough to try everything."""
-    animals, limits = SubjectPopulation(), Constraints(nearest=8e-3, farthest=46e-3)
-    goal = Goal(bayes_factor=10)
-    sites = _sites((TAPERED, CYLINDRICAL), limits, animals, 1)[::3]
-    search = _Search((TAPERED, CYLINDRICAL), sites, animals, goal, limits, 1, 60)
-    found = max(search.climb(search.start(2, r))[0]
-                for r in (None, np.random.default_rng(1), np.random.default_rng(2)))  # fmt: skip
-    every = [
-        search.value(((i, (a,)), (j, (b,))))
-        for i, j in itertools.combinations(range(len(sites)), 2)
-        for a in range(sites[i].sizes.size)
-        for b in range(sites[j].sizes.size)
-    ]
-    assert found == pytest.approx(max(every), abs=1e-6)
-
-
-def test_the_sketch_judges_as_the_fit_does():
-    animals, limits = SubjectPopulation(), Constraints(nearest=8e-3, farthest=46e-3)
-    sites = _sites((TAPERED, CYLINDRICAL), limits, animals, 3)
-    search = _Search(
-        (TAPERED, CYLINDRICAL), sites, animals, Goal(bayes_factor=10), limits, 3, 20
-    )  # fmt: skip
-
-    def counts(h: Hypothesis, scheme: Scheme) -> Any:
-        return h.expected_counts(scheme, animals.weber_fraction, animals.lapse)[None, None]
-
-    values, exact = [], []
-    for places in ((0, 8, 15), (2, 5, 9), (0, 1, 2)):
-        choice = tuple((i, (0, 2, 4)) for i in places)
-        scheme = search.scheme(choice, 1)
-        values.append(search.value(choice))
-        exact.append(
-            min(
-                compare((TAPERED, CYLINDRICAL), h.name, scheme, counts(h, scheme))[0][0]
-                for h in (TAPERED, CYLINDRICAL)
-            )
-        )
-    assert np.argsort(values).tolist() == np.argsort(exact).tolist()
-    assert values == pytest.approx(exact, abs=0.6)
 
 
 @pytest.mark.slow
@@ -253,23 +141,6 @@ def test_the_best_scheme_beats_a_plain_one_in_simulation():
         for s in (best, plain)
     ]
     assert found[0] > found[1] + 0.15
-
-
-@pytest.mark.slow
-def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
-    """And far fewer than one of narrow offsets, which leaves lapses and k mixed up."""
-    goal, limits = Goal(half_width=0.3), Constraints(farthest=46e-3)
-    best = best_scheme([TAPERED], goal=goal, trials=540, constraints=limits).scheme
-    places = [15e-3, 30e-3, 45e-3]
-    plain, narrow = (
-        Scheme.spaced(TAPERED.encoding, places, trials=30, levels=levels)
-        for levels in (WIDE, (0.3, 0.6, 0.9))
-    )
-    found = [smallest(s, [TAPERED], goal=goal, runs=64, seed=1) for s in (best, plain)]
-    error = np.hypot(found[0].size_error, found[1].size_error)
-    assert found[0].size < found[1].size + 2 * error
-    two = [ww.power(s, [TAPERED], goal=goal, trials=[30], runs=64) for s in (best, narrow)]
-    assert two[0].table["power"][0] > two[1].table["power"][0] + 0.3
 
 
 def test_expected_intervals_are_those_of_fits():
@@ -329,10 +200,3 @@ def test_bad_input_is_refused_in_a_sentence(wrong, words):
 
 
 OF_THE_MAP = CueEncoding(ww.Observer(WHISKER, kinds.ForceMap()), np.radians(20))
-
-
-def test_the_script_writes_its_figures_and_tables(tmp_path):
-    made = load("design").make(tmp_path, short=True)
-    assert made["power"].groupby("truth")["power"].last().min() > 0.8
-    assert (tmp_path / "design_power.csv").exists()
-    assert (tmp_path / "design_information.png").stat().st_size > 10_000

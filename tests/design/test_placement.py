@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 from scipy.integrate import quad
@@ -17,7 +16,6 @@ from weberwhisk.behaviour import (
     IdentityEncoding,
     LogEncoding,
     Priors,
-    Trials,
     fit_weber,
     response_probability,
     simulate_trials,
@@ -31,9 +29,7 @@ from weberwhisk.design import (
     lattice,
     next_trial,
     taper,
-    with_priors,
 )
-from weberwhisk.plots import placements
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLAIN = Hypothesis("Weber", IdentityEncoding(), bias="shared")
@@ -118,16 +114,6 @@ def test_what_was_shown_counts_and_not_what_was_proposed():
     assert shown.weber_fraction == pytest.approx(fit.weber_fraction, rel=0.02)
 
 
-def test_no_answer_teaches_nothing_and_is_kept():
-    placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=2)
-    before = placer.interval()
-    for none in (None, float("nan")):
-        placer.record(1.0, 1.1, none)
-    assert placer.interval() == before
-    assert placer.trials().n_missing == 2
-    assert placer.next().trial == 3
-
-
 # -- the objective -------------------------------------------------------------------------------
 
 
@@ -194,28 +180,6 @@ def test_lapses_and_bias_are_integrated_out(goal):
     assert found == pytest.approx(bits, abs=4e-3)
 
 
-@pytest.mark.parametrize(("near", "easy"), [(5, 10), (15, 40)])
-def test_the_lapses_do_not_draw_trials_to_the_extremes(near, easy):
-    """Once some easy trials were put, only an objective that counts lapses still prizes them.
-
-    Before that the other does too, and rightly: a lapse not known is a poor k or none.
-    """
-    scheme = lattice(PLAIN.encoding, 1.0)
-    extremes = scheme.comparisons[0][0], scheme.comparisons[0][-1]
-    shares = {}
-    vague = {name: stats.beta(0.3, 3.0) for name in ("lapse_low", "lapse_high")}
-    (unsure,) = with_priors([PLAIN], **vague)
-    for goal in ("weber_fraction", "everything"):
-        placer = BayesianPlacer(unsure, scheme, goal=goal, easy_share=0.0, seed=4)
-        answer = animal(PLAIN, seed=4)
-        for comparison in [0.8, 0.9, 1.1, 1.2] * near + [*extremes] * (easy // 2):
-            placer.record(1.0, comparison, answer(1.0, comparison))
-        bits = placer.information()
-        shares[goal] = bits[[0, -1]].max() / bits.max()
-    assert shares["weber_fraction"] < 0.1
-    assert shares["everything"] > 0.3
-
-
 def test_nearly_as_good_trials_are_drawn_at_random_and_replayed():
     scheme = lattice(PLAIN.encoding, 1.0)
     placer = session(BayesianPlacer(PLAIN, scheme, seed=3), 30, animal(PLAIN, seed=1))
@@ -233,29 +197,6 @@ def test_nearly_as_good_trials_are_drawn_at_random_and_replayed():
     assert (
         other.trials().frame["stimulus_2"].tolist() != placer.trials().frame["stimulus_2"].tolist()
     )
-
-
-def test_easy_trials_are_mixed_in():
-    scheme = lattice(PLAIN.encoding, [1.0, 3.0])
-    placer = BayesianPlacer(PLAIN, scheme, easy_share=0.3, seed=6)
-    answer, easy = animal(PLAIN, seed=1), []
-    for _ in range(120):
-        trial = placer.next()
-        easy.append(trial.easy)
-        levels = scheme.comparisons[scheme.standards.index(trial.standard)]
-        assert not trial.easy or trial.comparison in (min(levels), max(levels))
-        placer.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
-    # A binomial's 4 sd.
-    assert abs(np.mean(easy) - 0.3) < 4 * np.sqrt(0.3 * 0.7 / 120)
-
-
-def test_a_standard_may_be_asked_for():
-    placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, [1.0, 3.0]), seed=6)
-    assert placer.next(3.0).standard == 3.0
-    assert placer.next().standard == 3.0
-    assert placer.next(1.0).standard == 1.0
-    with pytest.raises(ValueError, match="no standard 2; choose one of 1, 3"):
-        placer.next(2.0)
 
 
 def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
@@ -338,24 +279,6 @@ def test_information_saves_trials():
     assert np.median(halves["information"]) < 0.8 * np.median(halves["constant"])
 
 
-@short_or_full("animals", 2, 3)
-def test_information_about_the_taper_tells_it_sooner(animals):
-    """Natural log Bayes factors after 90 trials: placed for the hypothesis, and for k."""
-    standards = np.array([0.3, 0.6, 0.9]) * W.length
-    levels = [lattice(h.encoding, standards, each_side=8).offsets for h in TAPER]
-    scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
-    found = {}
-    for goal in ("hypothesis", "weber_fraction"):
-        total = 0.0
-        for seed in range(animals):
-            placer = BayesianPlacer(TAPER, scheme, goal=goal, seed=seed)
-            session(placer, 90, animal(TAPER[0], seed=seed))
-            beliefs = placer.beliefs
-            total += beliefs["tapered"].log_evidence - beliefs["cylindrical"].log_evidence
-        found[goal] = total / animals
-    assert found["hypothesis"] > found["weber_fraction"] + 1
-
-
 # -- what is refused -----------------------------------------------------------------------------
 
 
@@ -407,52 +330,3 @@ def test_a_lattice_stays_where_the_animal_and_the_pole_can_go():
         lattice(encoding, [40.0], Constraints(5.0, 40.0))
     with pytest.raises(ValueError, match="standard 60 mm is off the whisker"):
         lattice(encoding, [60.0])
-
-
-def test_the_figure_shows_every_trial():
-    placer = session(BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0)), 9, animal(PLAIN, seed=1))
-    ax = placements(placer)
-    assert sum(len(line.get_xdata()) for line in ax.lines[:2]) == 9
-
-
-def test_a_trial_belongs_to_its_standard_whichever_came_first():
-    h = Hypothesis("Weber", IdentityEncoding(), bias="per standard")
-    scheme = Scheme([1.0, 1.4], [[-0.3, 0.3], [-0.3, 0.3]])
-    placer = BayesianPlacer(h, scheme)
-    placer.record(1.3, 1.0, 0, nominal=1.0)  # nearer to the other standard
-    assert placer.trials().frame["standard"].tolist() == [1.0]
-    frame = pd.DataFrame({"standard": 1.0, "stimulus_1": [1.3] * 40, "stimulus_2": 1.0,
-                          "n": 1, "count": [0.0, 1.0] * 20})  # fmt: skip
-    trials = Trials(frame, h.asked)
-    for s1, s2, count in frame[["stimulus_1", "stimulus_2", "count"]].to_numpy()[1:]:
-        placer.record(s1, s2, int(count), nominal=1.0)
-    assert next_trial(trials, h, scheme).information == pytest.approx(
-        placer.next().information, rel=1e-9
-    )
-
-
-def test_a_staircase_of_another_task():
-    h = Hypothesis("Weber", IdentityEncoding(), task="same-different")
-    staircase = Staircase(h, lattice(h.encoding, 1.0, each_side=8), seed=1)
-    for _ in range(12):
-        trial = staircase.next()
-        staircase.record(trial.standard, trial.comparison, 1)  # "different" is right on either side
-    assert staircase._tracks[1.0].level == 7
-    for _ in range(40):
-        trial = staircase.next()
-        difficult = abs(trial.comparison - trial.standard) < 0.1
-        staircase.record(trial.standard, trial.comparison, 0 if difficult else 1)
-    assert len(staircase._tracks[1.0].turns) > 4
-    assert np.isnan(staircase.weber_fraction)  # Φ⁻¹ of the share is of 2AFC
-    with pytest.raises(ValueError, match="is off the whisker"):
-        staircase.record(1.0, -1.0, 1)
-
-
-def test_a_table_of_other_answers_or_of_two_animals_is_no_session() -> None:
-    scheme = lattice(IdentityEncoding(), 1.0)
-    scored = simulate_trials(trials_per_level=1, task="2AFC percent correct", seed=1)
-    with pytest.raises(ValueError, match="got trials of 2AFC percent correct"):
-        next_trial(scored, PLAIN, scheme)
-    two, _ = ww.simulate_population(2, trials_per_level=1, seed=1)
-    with pytest.raises(ValueError, match="for one animal, got 2 subjects"):
-        next_trial(two, PLAIN, scheme)

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import replace
-from itertools import groupby
-from pathlib import Path
-
-import campaign_work
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
+from property_strategies import POWERS, floats, scaled, whiskers
 
 import weberwhisk as ww
-from weberwhisk import campaign
-from weberwhisk.behaviour import IdentityEncoding, fit_population, simulate_population
+from weberwhisk.behaviour import IdentityEncoding
 from weberwhisk.design import (
     BayesianPlacer,
-    Goal,
     Hypothesis,
-    Plan,
     Scheme,
-    Session,
-    Staircase,
-    SubjectPopulation,
     lattice,
     next_trial,
-    power,
     taper,
     trial_lists,
 )
-from weberwhisk.design.plan_file import plan_json, plan_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 #: A placer, a plan or a population costs tens of milliseconds: a third of the examples.
@@ -97,14 +82,6 @@ def test_trial_lists_are_balanced_and_repeat(
     pd.testing.assert_frame_equal(table, wider.iloc[: len(table)])
 
 
-@given(st.integers(2, 12), st.integers(5, 6), SEEDS)
-def test_no_answer_stays_right_for_longer_than_allowed(half: int, longest: int, seed: int) -> None:
-    scheme = Scheme([20.0], [-2.0, -1.0, 1.0, 2.0], 2 * half)
-    table = trial_lists(scheme, longest_run=longest, seed=seed)
-    runs = [len(list(same)) for _, same in groupby(table["greater"])]
-    assert max(runs) <= longest
-
-
 @few
 @given(whiskers(), st.lists(floats(0.1, 0.9), min_size=1, max_size=2, unique=True), POWERS)
 def test_spaced_offsets_know_no_unit(w: ww.Whisker, places: list[float], size: float) -> None:
@@ -124,36 +101,6 @@ def test_spaced_offsets_know_no_unit(w: ww.Whisker, places: list[float], size: f
     for row in one.offsets:
         assert list(row) == sorted(row)
         assert row[1] < 0 < row[2]
-
-
-@settings(max_examples=2)
-@given(st.integers(3, 8), SEEDS)
-def test_power_grows_with_trials_and_repeats(few_trials: int, seed: int) -> None:
-    hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
-    scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3])
-    options = {"goal": Goal(bayes_factor=3), "truths": ["tapered"], "runs": 48, "seed": seed}
-    found = power(scheme, hypotheses, trials=[few_trials, 12 * few_trials], **options)
-    few_, many = found.table["power"]
-    assert 0 <= few_ <= many <= 1
-    again = power(scheme, hypotheses, trials=[few_trials, 12 * few_trials], **options)
-    pd.testing.assert_frame_equal(found.runs, again.runs)
-
-
-@settings(max_examples=4)
-@given(schemes(6), SEEDS)
-def test_a_plan_reads_back(scheme: Scheme, seed: int) -> None:
-    scheme = Scheme(
-        np.array(scheme.standards) / scheme.standards[0] * 10e-3,
-        [np.array(row) / scheme.standards[0] * 10e-3 for row in scheme.offsets],
-        scheme.trials,
-        scheme.animals,
-    )
-    assume(max(scheme.standards) + np.max(np.concatenate(scheme.offsets)) < 48e-3)
-    hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
-    plan = Plan(scheme, hypotheses, Goal(bayes_factor=10), SubjectPopulation(0.07), seed=seed)
-    again = plan_of(plan_json(plan))
-    assert again.fingerprint == plan.fingerprint
-    assert plan_json(again) == plan_json(plan)
 
 
 # -- placement ------------------------------------------------------------------------------------
@@ -189,41 +136,6 @@ def _scaled_lattice(unit: float) -> Scheme:
 
 
 @few
-@given(ANSWERS, SEEDS)
-def test_a_session_torn_anywhere_proposes_the_same_trial(
-    answers: list[int | None], seed: int
-) -> None:
-    scheme = lattice(FELT.encoding, 20.0, each_side=4)
-
-    def placer() -> BayesianPlacer:
-        return BayesianPlacer(FELT, scheme, seed=seed)
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "log"
-        with Session(placer(), file) as session:
-            for choice in answers:
-                trial = session.next()
-                session.record(trial.standard, trial.comparison, choice)
-            expected = session.next()
-        with file.open("ab") as end:
-            end.write(b'{"trial": 99, "stand')  # killed while it wrote
-        with Session(placer(), file) as session:
-            assert session.next() == expected
-
-
-@few
-@given(st.lists(st.sampled_from([0, 1]), min_size=1, max_size=30), SEEDS)
-def test_a_staircase_stays_on_its_ladder(answers: list[int], seed: int) -> None:
-    scheme = lattice(FELT.encoding, 20.0, each_side=4)
-    stairs = Staircase(FELT, scheme, seed=seed)
-    for choice in answers:
-        trial = stairs.next()
-        assert trial.comparison in scheme.comparisons[0]
-        stairs.record(trial.standard, trial.comparison, choice)
-    assert stairs.n_trials == len(answers)
-
-
-@few
 @given(SEEDS, st.integers(1, 3))
 def test_the_next_trial_after_a_table_is_one_of_the_scheme(seed: int, each: int) -> None:
     trials = ww.simulate_trials(trials_per_level=each, seed=seed)
@@ -235,44 +147,3 @@ def test_the_next_trial_after_a_table_is_one_of_the_scheme(seed: int, each: int)
 
 
 # -- campaigns and populations --------------------------------------------------------------------
-
-
-@few
-@given(st.integers(1, 8), st.integers(0, 8), SEEDS)
-def test_a_campaign_is_the_same_bits_however_it_was_cut(n: int, kept: int, seed: int) -> None:
-    chunks = [{"i": i} for i in range(n)]
-    whole = campaign.run(campaign_work.draw, chunks, seed=seed)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "sweep.jsonl"
-        campaign.run(campaign_work.draw, chunks, seed=seed, out=file)
-        lines = file.read_bytes().splitlines(keepends=True)
-        kept = min(kept, len(lines) - 1)
-        file.write_bytes(b"".join(lines[: 1 + kept]) + lines[-1][:7])
-        resumed = campaign.run(campaign_work.draw, chunks, seed=seed, out=file)
-        pd.testing.assert_frame_equal(resumed, whole)
-        pd.testing.assert_frame_equal(campaign.read(file), whole)
-
-
-@pytest.mark.slow
-@settings(max_examples=2)
-@given(logarithmic(0.03, 0.3), floats(0.0, 0.5), st.sampled_from([1e-3, 1.0, 25.4]), SEEDS)
-def test_populations_know_neither_unit_nor_order(
-    k: float, spread: float, unit: float, seed: int
-) -> None:
-    trials, truth = simulate_population(
-        2, weber_fraction=k, spread=spread, trials_per_level=8, seed=seed
-    )
-    assert len(truth) == 2
-    assert (truth["weber_fraction"] > 0).all()
-    table = trials.frame.sample(frac=1, random_state=seed)
-    for column in ("standard", "stimulus_1", "stimulus_2"):
-        table[column] *= unit
-    one, other = (fit_population(t) for t in (trials, replace(trials, frame=table)))
-    low, high = one.interval(0.95)
-    assert 0 < low < one.weber_fraction < high
-    np.testing.assert_allclose(other.interval(0.95), [low, high], rtol=5e-3)
-    summary = one.summary().select_dtypes("number").to_numpy()
-    assert np.isfinite(summary).all()
-    # An animal is read nearer to the others than by itself: intervals hold the estimate.
-    subjects = one.subjects
-    assert ((subjects["lower"] < subjects["upper"]) & (subjects["lower"] > 0)).all()

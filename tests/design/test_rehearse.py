@@ -29,7 +29,6 @@ from weberwhisk.design import (
 )
 from weberwhisk.design.experiment import NEITHER
 from weberwhisk.design.power_analysis import wilson
-from weberwhisk.plots import rehearsed
 
 C2 = Whisker.from_identity("C2")
 PLACES, LEVELS = [20e-3, 30e-3], [-2, -1, 1, 2]
@@ -195,22 +194,6 @@ def test_wilsons_interval_solves_its_own_equation() -> None:
                 assert distance == 0
 
 
-def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
-    plan = plan_experiment(
-        "C2", standards=PLACES, levels=LEVELS, trials=15, animals=2, together=False, runs=0
-    )
-    truth = plan.animals.draw(2, 1)
-    answers = simulate_responses(plan.trials, truth, encoding=plan.hypotheses[0].encoding, seed=1)
-    frame = answers.frame.copy()
-    second = frame["subject"] == "s2"
-    frame.loc[second, "count"] = 1 - frame.loc[second, "count"]
-    finding = plan.analyse(replace(answers, frame=frame))
-    assert finding.left_out == ("s2",)
-    alone = plan.analyse(answers.select(subject="s1"))
-    assert finding.log_evidence == pytest.approx(alone.log_evidence)
-    assert finding.favoured(10) == alone.favoured(10)
-
-
 def test_animals_fitted_together_are_fitted_as_a_population() -> None:
     tapered = taper(C2)[0]
     scheme = Scheme.spaced(tapered.encoding, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
@@ -223,38 +206,3 @@ def test_animals_fitted_together_are_fitted_as_a_population() -> None:
     assert row["subject"] == "population"
     assert (row["lower"], row["upper"]) == whole.interval(0.95)
     assert finding.log_evidence == {"tapered": whole.log_evidence}
-
-
-def test_data_in_millimetres_say_the_same(plan: Plan) -> None:
-    truth = plan.animals.draw(1, 1)
-    answers = simulate_responses(plan.trials, truth, encoding=plan.hypotheses[0].encoding, seed=1)
-    names = ["standard", "stimulus_1", "stimulus_2"]
-    frame = answers.frame.assign(**{n: (answers.frame[n] * 1e3).round(6) for n in names})
-    one, other = plan.analyse(answers), plan.analyse(replace(answers, frame=frame), unit=1e-3)
-    assert other.log_evidence == pytest.approx(one.log_evidence, abs=1e-4)
-
-
-def test_the_figure_shows_every_run(found: SimulatedStudy) -> None:
-    ax = rehearsed(found)
-    labels = ax.get_legend_handles_labels()[1]
-    assert labels == ["tapered", "cylindrical", "goal", "the wrong way"]
-    shown = ax.get_lines()[0].get_xdata()
-    factors = found.table.query("truth == 'tapered'")["log_bayes_factor"] / np.log(10)
-    np.testing.assert_allclose(np.sort(factors), shown)
-
-
-def test_no_runs_are_refused(plan: Plan) -> None:
-    with pytest.raises(ValueError, match="runs must be a whole number of 1 or more, got 0"):
-        simulate_study(plan, 0)
-
-
-def test_rehearsed_animals_have_the_criterion_that_is_believed(monkeypatch) -> None:
-    """They had one of 0 whatever the prior, and power simulated others."""
-    asked = Hypothesis("x", taper(C2)[0].encoding, Priors(bias=norm(1.5, 0.2)), task="yes/no")
-    alike = SubjectPopulation(0.1, spread=0.0, lapse=0.0, bias_spread=0.0)
-    plan = Plan(Scheme([25e-3], [-1e-3, 3e-3], 400), [asked], Goal(half_width=0.3), alike)
-    seen = []
-    monkeypatch.setattr(Plan, "analyse", lambda self, t: seen.append(t) or analyse(t, [asked]))
-    simulate_study(plan, 1, seed=1)
-    cells = seen[0].cells()
-    assert np.allclose(cells.count / cells.n, plan.levels["expected"], atol=0.08)

@@ -10,11 +10,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from weberwhisk._util.log import read_lines
-from weberwhisk.behaviour import IdentityEncoding, fit_weber
+from weberwhisk.behaviour import IdentityEncoding
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice
 from weberwhisk.design.session import converse
@@ -29,11 +28,6 @@ def placer(**options: Any) -> BayesianPlacer:
 
 def talk(session: Session, *lines: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in converse(session, lines, "_mm")]
-
-
-def test_a_file_is_named_by_text_or_a_path() -> None:
-    with pytest.raises(ValueError, match="path must name a file, got 3"):
-        Session(placer(), 3)  # type: ignore[arg-type]
 
 
 def test_resumes_exactly_where_it_was(tmp_path: Path) -> None:
@@ -84,14 +78,6 @@ def test_what_was_shown_is_kept_and_bad_lines_leave_the_trial_standing(tmp_path:
     row = json.loads((tmp_path / "log").read_text().splitlines()[1])
     assert row["comparison"] == 21.5
     assert row["proposed"] == [first["standard_mm"], first["comparison_mm"]]
-
-
-def test_says_when_it_is_finished() -> None:
-    with Session(placer(most=3), None) as session:
-        *_, last = talk(session, *["1"] * 9)
-    assert last["finished"] == "there are 3 trials, as many as wanted"
-    assert last["trials"] == 3
-    assert last["low"] < last["weber_fraction"] < last["high"]
 
 
 def test_another_sessions_file_is_refused(tmp_path: Path) -> None:
@@ -199,29 +185,6 @@ def test_the_command_refuses_in_one_sentence(
     assert error.count("\n") == 1
 
 
-def test_a_staircase_at_the_rig(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["next", "--standard", "20", "--goal", "1-up/2-down", "--most", "4"]
-    assert command(monkeypatch, "1\n1\n0\n1\n", *arguments) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line.get("trial") for line in lines] == [1, 2, 3, 4, None]
-    assert "weber_fraction" not in lines[0]
-
-
-def test_the_session_is_fitted_as_any_table(tmp_path: Path) -> None:
-    with Session(placer(), tmp_path / "log") as session:
-        rng = np.random.default_rng(1)
-        for _ in range(40):
-            trial = session.next()
-            chance = 0.5 + 0.5 * np.tanh(8 * (trial.comparison / trial.standard - 1))
-            session.record(trial.standard, trial.comparison, int(rng.random() < chance))
-        trials = session.placer.trials()
-        assert fit_weber(trials, bias="shared").weber_fraction == pytest.approx(
-            session.placer.weber_fraction, rel=0.03
-        )
-
-
 def test_an_answer_that_cannot_be_written_is_not_learnt_nor_half_written(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
     file = tmp_path / "rat1.jsonl"
@@ -245,16 +208,6 @@ def test_an_answer_that_cannot_be_written_is_not_learnt_nor_half_written(tmp_pat
     assert len(file.read_bytes().splitlines()) == 3
 
 
-def test_a_session_goes_on_with_more_trials(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for most in (2, 3):
-        monkeypatch.setattr("sys.stdin", io.StringIO("1\n0\n"))
-        command = ["next", "--standard", "1", "--most", str(most), "--log", str(tmp_path / "log")]
-        assert run_app(app, command) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["trials"] == 3
-
-
 def test_a_line_that_is_no_trial_is_refused_in_a_sentence(tmp_path: Path) -> None:
     file = tmp_path / "rat.jsonl"
     with Session(placer(), file):
@@ -263,11 +216,3 @@ def test_a_line_that_is_no_trial_is_refused_in_a_sentence(tmp_path: Path) -> Non
         lines.write("5\n")
     with pytest.raises(ValueError, match="has a trial that cannot be read"):
         Session(placer(), file).__enter__()
-
-
-def test_scored_answers_are_placed_without_a_word_of_bias(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("1\n"))
-    assert run_app(app, ["next", "--standard", "10", "--task", "2AFC percent correct"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2

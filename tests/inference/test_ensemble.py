@@ -77,43 +77,6 @@ def test_moves_leave_a_correlated_gaussian_as_it_is(name: str, dim: int) -> None
     assert product.std() / np.sqrt(len(product)) < 0.02  # so a bias of 10 % would show
 
 
-@pytest.mark.parametrize("dim", [1, 3])
-@pytest.mark.parametrize("name", MOVES)
-def test_moves_leave_a_skewed_density_as_it_is(name: str, dim: int) -> None:
-    rng = np.random.default_rng(dim)
-    start = np.log(rng.gamma(1.0, size=(1500, 2 * dim + 2, dim)))
-    chain = run_blocks(
-        lambda x: (x - np.exp(x)).sum(axis=-1), start, MOVES[name], steps=40, seed=dim + 60
-    )[20:]
-    off = chain - special.digamma(1)
-    for power, exact in ((1, 0.0), (2, special.polygamma(1, 1)), (3, special.polygamma(2, 1))):
-        statistic = (off**power).mean(axis=(0, 2))
-        error = statistic.std(axis=0) / np.sqrt(len(statistic))
-        assert np.abs((statistic.mean(axis=0) - exact) / error).max() < 4.5
-
-
-@pytest.mark.parametrize("name", MOVES)
-def test_a_block_is_untouched_by_its_neighbours(name: str) -> None:
-    rng = np.random.default_rng(1)
-    start = rng.standard_normal((6, 8, 2))
-    centre = np.zeros((6, 1))
-    other = centre.copy()
-    other[[0, 3]] = 5.0
-    chains = [
-        run_blocks(
-            lambda x, c=c: -0.5 * ((x - c[..., None]) ** 2).sum(axis=-1),
-            start,
-            MOVES[name],
-            steps=50,
-            seed=2,
-        )
-        for c in (centre, other)
-    ]
-    same = [1, 2, 4, 5]
-    np.testing.assert_array_equal(chains[0][:, same], chains[1][:, same])
-    assert not np.array_equal(chains[0][:, 0], chains[1][:, 0])
-
-
 @pytest.mark.parametrize("name", MOVES)
 def test_blocks_are_uncorrelated(name: str) -> None:
     # They share the draw of who pairs with whom, which must not make them move together.
@@ -203,15 +166,6 @@ def test_the_seed_decides_every_bit_and_nothing_else_does() -> None:
     assert not np.array_equal(first.values, gaussian_run(5, 2, seed=2).values)
 
 
-@pytest.mark.parametrize("seed", [7, np.random.SeedSequence(7)])
-def test_seeds_of_any_kind(seed: int | np.random.SeedSequence) -> None:
-    start = np.random.default_rng(1).normal(size=(1, 4, 8, 1))
-    density = lambda x: -0.5 * x[..., 0] ** 2  # noqa: E731
-    fit = sample_stacked(density, start, seed=seed)
-    generator = sample_stacked(density, start, seed=np.random.default_rng(7))
-    np.testing.assert_array_equal(fit.values, generator.values)
-
-
 def test_a_posterior_is_untouched_by_its_neighbours() -> None:
     start = np.random.default_rng(2).normal(size=(4, 4, 8, 1))
     fits = []
@@ -246,15 +200,6 @@ def test_posteriors_that_are_done_leave_the_run() -> None:
     assert fit.steps[easy].max() < fit.steps[~easy].min()
     assert sizes[0] == 20
     assert sizes[-1] <= 2
-
-
-def test_the_way_from_a_bad_start_is_left_out() -> None:
-    # Walkers start 300 sd away; they must arrive, and the way there must not count.
-    start = 300 + 0.5 * np.random.default_rng(6).normal(size=(40, 4, 8, 1))
-    fit = sample_stacked(lambda x: -0.5 * x[..., 0] ** 2, start, seed=7)
-    assert fit.converged.all()
-    assert np.abs(fit.mean / fit.mcse_mean).max() < 5
-    assert np.abs((fit.sd - 1) / fit.mcse_sd).max() < 5
 
 
 # -- where emcee goes wrong --------------------------------------------------------------------
@@ -295,18 +240,6 @@ def test_no_wrong_sd_passes_on_the_shelf_near_the_tip(k: float, width: float) ->
     assert not np.any(wrong & fit.converged)
 
 
-@pytest.mark.parametrize("k", [pytest.param(0.3, marks=pytest.mark.slow), 0.5])
-def test_what_passes_on_the_shelf_is_right(k: float) -> None:
-    """Of the coordinate, and of the distance itself."""
-    density, start, *sds = distance(k, 0.95, count=10, width=1.0, seed=12)
-    fit = sample_stacked(
-        density, start, seed=13, functions=lambda x: np.concatenate([x, special.expit(x)], axis=-1),
-        indexed=True, max_steps=40_000,
-    )  # fmt: skip
-    assert fit.converged.mean() > (0.3 if k == 0.3 else 0.95)
-    assert np.abs(fit.sd[fit.converged] / sds - 1).max() < 0.1
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("k", [0.2, 0.3, 0.4, 0.5])
 @pytest.mark.parametrize("of", ["x", "r"])
@@ -334,19 +267,6 @@ def test_ensembles_in_different_modes_are_not_converged() -> None:
     assert not fit.converged.any()
     assert np.all(fit.shortfall & Shortfall.RHAT)
     assert np.all(fit.rhat > 1.05)
-
-
-def test_one_wider_ensemble_is_not_converged() -> None:
-    # Same mean, other sd: only the folded R-hat and the error of the variance can tell.
-    scale = np.array([1.0, 1.0, 1.0, 2.0])[:, None]
-    start = np.random.default_rng(16).normal(size=(5, 4, 8, 1))
-    fit = sample_stacked(
-        lambda x: -0.5 * (x[..., 0].reshape(5, 4, -1) / scale).reshape(5, -1) ** 2,
-        start,
-        seed=17,
-        max_steps=1000,
-    )
-    assert np.all(fit.shortfall & Shortfall.RHAT)
 
 
 def test_a_walker_on_a_needle_is_stuck() -> None:

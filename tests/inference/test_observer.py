@@ -114,11 +114,6 @@ def test_what_the_closed_form_would_cost_is_true():
     assert replace(observer, model="closed_form").why == "closed_form was asked for"
 
 
-def test_every_cue_says_why():
-    for cue in SCENES:
-        assert ww.Observer(W, cue).why.endswith("allowed")
-
-
 SCENES = [cues.Compliance(), cues.ForceMap(), cues.SpaceMap()]
 
 
@@ -144,15 +139,6 @@ def test_a_missing_reading_leaves_the_others_as_they_are(cue, method):
     table = p.summary()
     assert (table.status == lost.message).sum() == 2 * len(observer.unknowns)
     assert np.array_equal(p.outcome == ww.Outcome.NOT_A_READING, ~known)
-
-
-def test_nothing_but_missing_readings():
-    observer = ww.Observer(W, cues.ForceMap())
-    for reading in ([np.nan, 1.0], [[np.nan, 1.0]]):
-        p = ww.posterior(observer, reading, "emcee", seed=1)
-        assert np.isnan(p.mean)
-        assert p.status == ww.Status.NOT_A_READING
-    assert ww.posterior(observer, np.empty((0, 2))).mean.shape == (0,)
 
 
 @pytest.mark.parametrize(

@@ -249,17 +249,6 @@ def test_flat_prior_is_scipys_uniform():
     assert (p.mean, p.sd) == pytest.approx((30e-3, 2e-5), rel=0.01)
 
 
-@pytest.mark.parametrize("method", ["emcee", "laplace"])
-def test_methods_that_climb_know_of_a_prior_that_is_sharp(method):
-    """They did not get to the top, and called the reading improbable or the top not Gaussian."""
-    prior = {"deflection_angle": stats.norm(0.2, 5e-4)}
-    observer = ww.Observer(W, ForceMap(), Weber(0.1), prior)
-    reading = observer.read([30e-3, 0.2], seed=2)
-    exact, found = (ww.posterior(observer, reading, m, seed=1) for m in ("quadrature", method))
-    assert found.status is Status.CONVERGED
-    assert found.mean == pytest.approx(exact.mean, abs=0.15 * exact.sd)
-
-
 @pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
 def test_one_reading_gives_scalars_and_many_give_arrays(method):
     observer = ww.Observer(W, ForceMap(), Weber(0.05))
@@ -315,24 +304,3 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call(ww.Observer(W, Compliance()))
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("tolerance", [None, 1e-3])
-def test_a_bent_ridge_is_not_taken_for_one_node(tolerance):
-    # All but one node of a coarse pass fell beside the ridge, and a single node has no error.
-    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ForceMap())
-    reading = [4.3879795117304074e-05, 0.0060701996744909744]
-    p = ww.posterior(observer, reading, tolerance=tolerance)
-    # By a midpoint sum over r and θ_d.
-    assert p.mean / observer.whisker.length == pytest.approx(0.1702, abs=2e-4)
-    assert p.sd / observer.whisker.length == pytest.approx(0.0292, abs=2e-4)
-
-
-def test_a_long_thin_tail_is_followed_from_a_narrow_core():
-    # Windows grew and shrank in turn: wide enough for the tail they lost the core, and back.
-    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ForceMap(), Weber(0.2))
-    p = ww.posterior(observer, [3.576e-06, 3.0835e-04])
-    assert p.status == Status.CONVERGED
-    # By a midpoint sum of 3000 by 3000 contacts over r and θ_d/limit.
-    assert p.mean == pytest.approx(0.0263579, rel=1e-3)
-    assert p.sd == pytest.approx(0.00239566, rel=1e-2)

@@ -71,7 +71,6 @@ def fold(w: ww.Whisker, r: float) -> float:
     return float(ww.flick_past(w, r).deflection_angle)
 
 
-needles = whiskers().filter(lambda w: w.tip_radius < 0.7 * w.base_radius)
 SHARE = floats(0.02, 0.98)
 
 
@@ -204,23 +203,3 @@ def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObje
     assert fisher_jnd(observer, contact) > 0
     linear = weber_propagation(observer, contact)
     assert (linear >= 0) | (linear.size == 0) | isinstance(observer.noise, receptors.Events)
-
-
-@given(whiskers(), floats(0.02, 0.98), FRACTION)
-def test_the_jnd_of_a_tap_is_the_formula(w: ww.Whisker, fraction: float, k: float) -> None:
-    observer = ww.Observer(w, cues.Compliance(), receptors.Weber(k))
-    r = fraction * w.length
-    table = ww.jnd_curve(observer, r, n_readings=2, seed=1)
-    formula = k * r * (1 - r / w.apex_distance)
-    np.testing.assert_allclose(table["closed_form"], formula, rtol=1e-9)
-    np.testing.assert_allclose(table["fisher"], formula / np.sqrt(1 + 2 * k * k), rtol=1e-6)
-    assert np.isfinite(table["posterior"]).all()
-
-
-@given(logarithmic(1e-6, 1e6), floats(50.001, 99.999), floats(50.001, 99.999))
-def test_criteria_are_converted_there_and_back(jnd: float, one: float, other: float) -> None:
-    a, b = f"{one:.6f}% 2AFC", f"{other:.6f}% yes/no"
-    there = ww.convert_jnd(jnd, from_criterion=a, to_criterion=b)
-    np.testing.assert_allclose(
-        ww.convert_jnd(there, from_criterion=b, to_criterion=a), jnd, rtol=1e-9
-    )

@@ -9,10 +9,8 @@ import pytest
 from scipy.integrate import simpson
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.optimize import brentq
 from scipy.special import expit
-from scipy.stats import kstest, uniform
-from short_forms import short_or_full, slow_but
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
@@ -25,13 +23,11 @@ from weberwhisk.cues import (
     Fused,
     UnknownCurvature,
 )
-from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.inference import default_noise
 from weberwhisk.inference.sweeping import SweepFilter
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
-from weberwhisk.sensitivity import fisher_jnd, prior_draws
+from weberwhisk.sensitivity import prior_draws
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)
@@ -215,51 +211,6 @@ def test_posteriors_over_all_curvatures_and_frictions(seed):
     compare(ratio, curvature, friction, k, seed, count=20)
 
 
-@pytest.mark.parametrize(
-    "cue", [Friction(ForceMap()), Friction(Compliance(tap_angle=0.3)), ForceMap()], ids=repr
-)
-def test_distances_drawn_from_the_prior_are_those_of_its_density(cue):
-    """Draws counted the range of angles twice where friction changes it: 1.5 % of the mass off."""
-    observer = Observer(whisker(20, 0.0), cue)
-    r = np.linspace(*observer.reach, 4001)
-    rise = np.cumsum(observer.distance_prior(r))
-    drawn = prior_draws(observer, 40_000, seed=1)[:, 0]
-    assert kstest(drawn, lambda x: np.interp(x, r, rise / rise[-1])).pvalue > 1e-3
-
-
-def test_the_widest_range_of_angles_is_that_of_curvatures_that_reach_so_far():
-    """Where the strongest curvatures that may be do not reach, it was nothing at all."""
-    observer = Observer(whisker(20, -12.0), UnknownCurvature(ForceMap(), 2.0))
-    contact = np.array([[share * observer.reach[1], 0.1, 0.0] for share in (0.5, 0.976)])
-    own = observer.space.angle_range(contact[:, 0], contact)[1]
-    widest = observer.angle_range(contact[:, 0])[1]
-    assert np.all(own > 0)
-    assert np.all(widest >= 0.99 * own)  # of five curvatures, the contact's not among them
-    assert prior_draws(observer, 4000, seed=1)[:, 1].min() > 0
-
-
-@pytest.mark.slow
-def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say():
-    """Draws took the range of angles of one friction for the weight of all: means 0.1 sd apart."""
-    w = whisker(20, 0.0)
-    observer = Observer(w, Friction(ForceMap()), GeneralisedWeber(0.3, floor=[1e-7, 1e-5]))
-    drawn = prior_draws(observer, 80_000, seed=1)
-    reading = observer.read([25e-3, 0.3, 0.1], seed=1)
-    weight = np.exp(observer.noise.log_likelihood(reading, observer.signals(drawn)[0]))
-    weight /= weight.sum()
-    size = 1 / (weight**2).sum()
-    assert size > 2500
-    found = posterior(observer, reading)
-    for i, name in enumerate(observer.unknowns):
-        mean = weight @ drawn[:, i]
-        sd = np.sqrt(weight @ (drawn[:, i] - mean) ** 2)
-        assert found.estimates[name].mean == pytest.approx(mean, abs=4 * sd / np.sqrt(size))
-        assert found.estimates[name].sd == pytest.approx(sd, rel=4 / np.sqrt(size))
-    low, high = found.interval(0.9)  # the others' take as long again, each
-    inside = weight[(drawn[:, 0] > low) & (drawn[:, 0] < high)].sum()
-    assert inside == pytest.approx(0.9, abs=4 * 0.3 / np.sqrt(size) + 0.005)
-
-
 def test_a_curvature_that_is_unknown_mixes_posteriors_of_those_that_are_known():
     """By Gauss and Hermite's rule over whiskers with tables of their own."""
     w, spread = whisker(20, 8.0), 2.0
@@ -337,17 +288,6 @@ def test_intervals_hold_the_distance_where_curvature_or_friction_is_not_known(cu
     )
 
 
-def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
-    """Of a whisker whose width has a kink; a slender one's that curves to the object is not."""
-    table = [0, 20e-3, 50e-3], [100e-6, 70e-6, 5e-6]
-    kinked = Observer(ww.Profile.tabulated(*table, law=ww.Spiral(8.0)), ForceMap(), Weber(0.01))
-    assert 1e-4 < kinked.forward.error < 1e-3
-    assert 'write model="profile"' in kinked.note
-    slender = Observer(whisker(80, -25.0), ForceMap(), GeneralisedWeber(0.01, floor=1e-9))
-    assert slender.forward.error < 1e-5
-    assert slender.note == ""
-
-
 @pytest.mark.parametrize("curvature", slow_but([-20.0, -38.0], quick=(1,)))
 def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature):
     """Straightened, it goes further out than it is at rest: contacts that no observer has."""
@@ -366,13 +306,6 @@ def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature
     assert found.outcome == ww.Outcome.OUT_OF_REACH
     assert found.status == ww.Status.OUTSIDE_DOMAIN
     assert "a tip pushed straight" in found.outside_domain
-
-
-def test_a_reading_near_the_tip_that_has_a_contact_is_inside_the_domain():
-    observer = Observer(whisker(20, -20.0), ForceMap(), GeneralisedWeber(0.03, floor=[1e-10, 1e-9]))
-    near, over = [0.97 * observer.reach[1], 0.1], [0.999 * observer.reach[1], 0.1]
-    signals = observer.signals([near, over])[0]
-    assert (posterior(observer, signals).status == ww.Status.CONVERGED).all()
 
 
 def test_compliance_of_a_curved_whisker():
@@ -455,23 +388,6 @@ def test_posteriors_of_a_curved_balance_are_a_plain_sum(effort, unknown):
     assert found.sd == pytest.approx(sd, rel=5e-3)
 
 
-def test_a_nuisance_that_is_known_after_all_changes_nothing():
-    """A friction angle that is all but known gives the posterior of the one that is known."""
-    w = whisker(20, 8.0)
-    noise = Weber(0.1)
-    known = Observer(w, Friction(Compliance(tap_angle=0.1), -0.2), noise)
-    almost = Observer(
-        w,
-        Friction(Compliance(tap_angle=0.1)),
-        noise,
-        {"friction_angle": uniform(-0.2 - 1e-6, 2e-6)},
-    )
-    reading = known.read(25e-3, seed=3)
-    one, other = posterior(known, reading), posterior(almost, reading)
-    assert other.mean == pytest.approx(one.mean, abs=2e-3 * one.sd)
-    assert other.sd == pytest.approx(one.sd, rel=2e-3)
-
-
 def test_the_observer_chooses_its_model_and_says_why():
     """The straight elastica where curvature does not matter, the planar beam where it does."""
     bowed = Observer(whisker(20, 8.0), ForceMap())
@@ -493,25 +409,6 @@ def test_the_observer_chooses_its_model_and_says_why():
     exact = Observer(whisker(20, 8.0), ForceMap(), model="profile").signals(contact)[0]
     assert bowed.signals(contact)[0] == pytest.approx(exact, rel=2e-5)
     assert bowed == Observer(whisker(20, 8.0), ForceMap()) != hardly
-
-
-def test_the_elastica_serves_where_it_serves_light_touches_too():
-    """It was chosen up to a curvature of 0.039 /m, by biases between tenths of distance and angle.
-
-    There a touch of a fiftieth of the largest angle is up to 0.5 sd off.
-    """
-    for bow, model in ((0.035, "profile"), (0.005, "elastica")):
-        w = whisker(20, bow)
-        beam, straight = (Observer(w, ForceMap(), model=name) for name in ("profile", "elastica"))
-        contact = beam.contact(beam.space.spread([0.02, 0.26, 0.74, 0.98]))[0].reshape(-1, 2)
-        readings = beam.signals(contact)[0]
-        right, found = (
-            posterior(o, readings, tolerance=1e-4)
-            for o in (Observer(w, ForceMap(), tolerance=1e-6), straight)
-        )
-        off = np.abs(found.mean - right.mean) / right.sd
-        assert (off.max() < 0.1) == (model == "elastica")
-        assert Observer(w, ForceMap()).model == model
 
 
 def test_what_real_observers_refuse():
@@ -548,24 +445,6 @@ def test_a_named_whisker_carries_its_curvature_where_asked():
         rest_shape("C2", "cat")
 
 
-def test_a_straight_map_is_off_by_more_than_a_jnd_where_the_curved_one_is_right():
-    """(M, Fx) of a curved C2, read by the observer that knows its shape, and by one that does not.
-
-    The profile's own law serves as the rest shape.
-    """
-    from weberwhisk.whisker import rest_shape
-
-    plain = Whisker.from_identity("C2")
-    real = ww.Profile.of(plain).curved(ww.Spiral(*rest_shape("C2")))
-    noise = Weber(0.05)
-    knows, ignores = Observer(real, ForceMap(), noise), Observer(plain, ForceMap(), noise)
-    contact = np.array([0.6 * plain.length, 0.1])
-    signals, _ = planar_signals(real, *contact)
-    right, wrong = posterior(knows, signals[:2]), posterior(ignores, signals[:2])
-    assert abs(right.mean - contact[0]) < right.sd
-    assert abs(wrong.mean - contact[0]) > 2 * wrong.sd
-
-
 def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     """By how much its posterior is off bears the note out."""
     plain = Whisker.from_identity("C2")
@@ -585,26 +464,6 @@ def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     assert "C2 is taken as straight" in Observer(hinged, ForceMap()).note
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_named_arc_says_what_its_measured_shape_costs(side):
-    """At k = 0.02 a C2 of constant curvature is more than an sd off, and said nothing."""
-    arc = Whisker.from_identity("C2", curved=True)
-    arc = replace(arc, curvature=side * arc.curvature)
-    observer = Observer(arc, ForceMap(), default_noise(arc, ForceMap(), 0.02))
-    law = ww.Spiral(*rest_shape("C2")).scaled(np.ones(()), side)
-    shape = ww.Profile.of(arc).curved(law)
-    real = Observer(shape, ForceMap(), default_noise(shape, ForceMap(), 0.02))
-    contact = [0.6 * arc.length, 0.1]
-    found = posterior(observer, real.signals(contact)[0])
-    assert abs(found.mean - contact[0]) > found.sd
-    assert "C2 is taken as an arc; its measured shape at rest moves r" in observer.note
-    advice = observer.note.split("write ")[1]
-    given = {"Profile": ww.Profile, "Spiral": ww.Spiral, "rest_shape": rest_shape, "whisker": arc}
-    told = Observer(eval(advice, given), ForceMap(), real.noise)
-    assert told == real
-    assert told.note == ""
-
-
 def test_a_whisker_that_nobody_calls_straight_is_taken_as_such_and_said_to_be():
     """(M, Fx) of a curved C2, read by the numbers of its length and radii alone: silent once."""
     plain = Whisker.from_identity("C2")
@@ -620,28 +479,6 @@ def test_a_whisker_that_nobody_calls_straight_is_taken_as_such_and_said_to_be():
     for straight in (replace(numbers, curvature=0.0), Whisker.shaft(50e-3, 1e-3, "nitinol")):
         assert Observer(straight, ForceMap()).note == ""
     assert replace(numbers, curvature=0.0) == numbers == plain
-
-
-def test_a_whisker_keeps_its_identity_where_it_keeps_its_shape():
-    plain = Whisker.from_identity("C2", seed=1)
-    bow = plain.identity[2]
-    for same in ({"youngs_modulus": 3e9}, {"hinge_stiffness": 1e-5}, {"curvature": -bow}):
-        assert replace(plain, **same).identity == plain.identity
-    for other in ({"length": 30e-3}, {"tip_radius": 4e-6}, {"curvature": 3.0}):
-        assert replace(plain, **other).identity is None
-    assert plain.cylinder().identity is None
-    assert Whisker.from_identity("C6", species="mouse", curved=True).curvature > 0  # it was -30
-
-
-def test_a_shape_that_costs_a_jnd_next_to_the_tip_alone_is_said():
-    """D0 by taps: half a JND in the middle, more than one within 7 % of the tip, and no note."""
-    plain = Whisker.from_identity("D0")
-    observer, r = Observer(plain, Compliance(), Weber(0.1)), 0.97 * plain.length
-    curved = replace(plain, curvature=plain.identity[2])
-    signal = Compliance().signals(curved, np.array([[r]]), model="profile")[0][0, 0]
-    taken = brentq(lambda x: observer.signals([x])[0][0] - signal, 0.5 * r, plain.length - 1e-9)
-    assert abs(taken - r) > 1.3 * fisher_jnd(observer, np.array([[r]]))[0]
-    assert "moves r by up to 1.7 JND" in observer.note
 
 
 def test_whatever_takes_a_named_whisker_as_straight_says_so():
@@ -693,81 +530,6 @@ def test_mice_have_whiskers_and_robots_shafts():
     ):
         with pytest.raises(ValueError, match=said):
             refused()
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.1])
-def test_a_curved_perfect_cone_has_a_table_too(friction):
-    """Without its last thousandth, which nothing can be held by: all else is the planar beam's."""
-    cone = ww.Whisker(50e-3, 100e-6, 0.0, curvature=8.0)
-    observer = Observer(cone, Friction(ForceMap(), angle=friction))
-    assert (observer.model, observer.note) == ("profile", "")
-    r = np.array([10e-3, 30e-3, 45e-3])
-    signals = observer.signals(np.stack([r, 0 * r + 0.05], axis=1))[0]
-    bent = ww.press(cone, r, profile.rest_angle(cone, r) + 0.05, friction)
-    np.testing.assert_allclose(signals, np.stack([bent.moment, bent.axial_force], 1), rtol=1e-5)
-    found = posterior(observer, observer.read([30e-3, 0.05], seed=1))
-    assert found.status == ww.Status.CONVERGED
-    assert found.outside_domain == ""
-
-
-def test_a_table_holds_up_to_a_cones_tip():
-    """A hunt: its axial force was 2 % off, a posterior 0.04 sd, and 0.13 in ln of the evidence."""
-    cone = ww.Whisker(15e-3, 24e-6, 0.0, curvature=-25.0)
-    cue = Friction(ForceMap(SIGNALS), angle=-0.2875)
-    observer = Observer(cone, cue, default_noise(cone, cue, 0.03))
-    r = np.array([1 - 1e-4, 1 - 1e-7]) * observer.reach[1]
-    contacts = np.stack([r, 0.95 * observer.angle_range(r)[1]], axis=1)
-    signals, exact = (
-        o.signals(contacts)[0] for o in (observer, replace(observer, model="profile"))
-    )
-    np.testing.assert_allclose(signals, exact, rtol=1e-4)
-
-
-def test_a_perfect_cone_has_an_uncertain_curvature():
-    cone = ww.Whisker(50e-3, 100e-6, 0.0)
-    signals, outcome = UnknownCurvature(ForceMap(), 2.0).signals(cone, [[30e-3, 0.2, 3.0]])
-    curved = replace(cone, curvature=3.0)
-    bent = ww.press(curved, 30e-3, profile.rest_angle(curved, np.array(30e-3)) + 0.2)
-    np.testing.assert_allclose(signals[0], [bent.moment, bent.axial_force], rtol=1e-5)
-    assert outcome == 0
-
-
-def test_a_named_whisker_says_where_nobody_knows_what_its_shape_does():
-    named = Observer(ww.Whisker.from_identity("C2"), ww.cues.Vibration(3))
-    assert named.note.startswith("C2 is taken as straight: what its shape at rest does to this cue")
-    assert Observer(whisker(20, 0.0), ww.cues.Vibration(3)).note == ""
-
-
-@pytest.mark.slow
-def test_a_curved_whisker_that_rubs_in_space_is_not_taken_as_straight():
-    curved = ww.Whisker.from_identity("C2", curved=True)
-    assert "straight" not in Observer(curved, Friction(cues.SpaceMap())).note
-
-
-@short_or_full("curvature", 0.0, 8.0)
-def test_an_unknown_friction_is_summed_as_midpoints_are(curvature):
-    """Tails near the base were left out, where a force turns its sign: sds 3e-4 off."""
-    w, cue = whisker(15, curvature), Friction(ForceMap())
-    observer = Observer(w, cue, default_noise(w, cue, 0.3))
-    reading = observer.read([20e-3, 0.15, 0.1], seed=1)
-    found = ww.posterior(observer, reading)
-    r = 50e-3 / (1 + np.exp(-np.linspace(-6.0, 6.0, 101)))
-    low, high = observer.prior["friction_angle"].support()
-    friction = low + (high - low) * (np.arange(80) + 0.5)[:, None] / 80
-    share = (np.arange(250) + 0.5) / 250
-    evidence = np.empty(len(r))
-    for i, one in enumerate(r):
-        contact = np.ones((80, 250, 3))
-        contact[..., 0], contact[..., 2] = one, friction
-        limit = observer.space.angle_range(contact[:, 0, 0], contact[:, 0])[1]
-        contact[..., 1] = limit[:, None] * (1 - share**2)
-        log = observer.log_likelihood(reading, contact)
-        evidence[i] = (np.exp(log) * 2 * share * limit[:, None]).mean() * one * (50e-3 - one)
-    mean = evidence @ r / evidence.sum()
-    sd = np.sqrt(evidence @ (r - mean) ** 2 / evidence.sum())
-    assert found.status == ww.Status.CONVERGED
-    assert found.mean == pytest.approx(mean, abs=2e-3 * sd)
-    assert found.sd == pytest.approx(sd, rel=2e-3)
 
 
 def test_a_model_that_loses_contacts_is_not_chosen():

@@ -1,13 +1,11 @@
 """Posteriors of several unknowns with a second peak: none is missed."""
 
 import numpy as np
-import pytest
 from cue_checks import brute_force
 
 import weberwhisk as ww
-from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
-from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.inference import Status, default_noise
+from weberwhisk.cues import ForceMap, Fused, Vibration
+from weberwhisk.inference import Status
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import prior_draws
 
@@ -26,29 +24,3 @@ def test_no_second_peak_is_missed():
         exact, width = brute_force(OBSERVER, reading, points=40_000)
         assert abs(mean - exact) < 1e-3 * width
         assert abs(sd - width) < 1e-3 * width
-
-
-def test_one_peak_is_not_taken_for_two():
-    observer = ww.Observer(W, ForceMap())
-    p = ww.posterior(observer, observer.read(prior_draws(observer, 60, seed=3), seed=4))
-    assert not np.any(p.status == Status.SEVERAL_PEAKS)
-
-
-@pytest.mark.parametrize(
-    ("cue", "contact"),
-    [
-        (ForceMap(SIGNALS), [0.03198637, 0.50927061]),
-        pytest.param(  # 9 s on the plain grid
-            SpaceMap(), [0.03202618, 0.50819100, 2.40874708], marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_an_ordinary_reading_is_not_called_improbable(cue, contact):
-    """Of many signals at k = 0.003 the coarse grid's best point may lie in another valley.
-
-    One reading in a hundred was said to be none that such a contact gives.
-    """
-    observer = ww.Observer(W, cue, default_noise(W, cue, 0.003))
-    p = ww.posterior(observer, observer.signals(np.array([contact]))[0])
-    assert p.status[0] == Status.OUTSIDE_DOMAIN  # as such receptors are
-    assert abs(p.mean[0] - contact[0]) < 2 * p.sd[0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from analysis_scripts import load
-from scipy.special import logit
 
 import weberwhisk as ww
 from weberwhisk.cues import (
@@ -146,40 +145,6 @@ def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contac
     assert_as_all_at_once(observer, reading)
 
 
-@pytest.mark.parametrize(
-    "reading", [[1.01138994, 1.22171746], [1.53724756, 1.75161441]], ids=["edge", "far start"]
-)
-def test_climbs_get_there_from_hundreds_of_sds_away(reading):
-    """Newton's method ran along the side's axis to where the second whisker reaches no more.
-
-    There the finite differences were of nothing, and LAPACK gave up.
-    """
-    cue, noise = TwoWhiskers(side_sd=0.000171472), GeneralisedWeber(0.0, floor=0.00121046)
-    assert assert_as_all_at_once(ww.Observer(W, cue, noise), np.array([reading]))
-
-
-@pytest.mark.slow
-def test_a_corner_that_has_gone_astray_loses_nothing():
-    """0.03 sd off, 0.008 claimed: a side at a tile's corner ended on a plateau eighteen sds away.
-
-    Interpolated from there, the peaks along a ridge through the tile were lost too.
-    """
-    cue, noise = AngleSideAngle(side_sd=0.00224392), GeneralisedWeber(0.0, floor=0.00257202)
-    observer, reading = ww.Observer(W, cue, noise), np.array([2.31204388, 2.60301952])
-    p = ww.posterior(observer, reading)
-    near = float(logit(p.mean / observer.reach[1]))
-    mean, sd, known = load("stability_three").brute(observer, reading, near)
-    assert known < 1e-3
-    assert p.mean == pytest.approx(mean, abs=(2e-3 + known) * sd)
-    assert p.sd == pytest.approx(sd, rel=2e-3 + known)
-
-
-def test_contacts_near_the_end_of_the_reach_are_kept_whatever_the_side():
-    """0.1 sd off, 8e-4 claimed: where some sides reach no further whole contacts were left out."""
-    cue, noise = AngleSideAngle(side_sd=0.000311112), GeneralisedWeber(0.0, floor=0.00412656)
-    assert assert_as_all_at_once(ww.Observer(W, cue, noise), np.array([[0.45292783, 0.55857305]]))
-
-
 def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
     """Distances, angles and last unknowns, of cues and noise drawn at random."""
     rng = np.random.default_rng(hunt_seed)
@@ -265,46 +230,6 @@ def turned_sums(observer, reading, start, nodes=61, half=7.0):
     cell = abs(np.linalg.det(root)) * (2 * half / (nodes - 1)) ** dim
     known = max(known, 100 * weight[edge].sum() / weight.sum())
     return mean, sd, np.log(weight.sum() * cell) + log.max(), known
-
-
-@pytest.mark.parametrize(
-    "observer",
-    [
-        ww.Observer(W, UnknownStiffness(ForceMap()), Weber(0.1)),
-        ww.Observer(W, AngleSideAngle(side_sd=1e-3), GeneralisedWeber(0.0, floor=0.1)),
-    ],
-    ids=["stiffness", "side"],
-)
-def test_many_readings_and_one_have_the_same_posterior(observer):
-    """Moments, quantiles and draws of all unknowns."""
-    reading = observer.read(prior_draws(observer, 30, seed=1), seed=2)
-    many = ww.posterior(observer, reading)
-    assert many.method == "quadrature"
-    quantiles = {name: many.quantile([0.025, 0.5, 0.975], of=name) for name in observer.unknowns}
-    for i in (29,):
-        one = ww.posterior(observer, reading[i])
-        draws = one.draws_of(1000, 3).reshape(-1, 3)
-        for j, name in enumerate(observer.unknowns):
-            a, b = one.estimates[name], many.estimates[name]
-            assert b.mean[i] == pytest.approx(a.mean, abs=2e-3 * a.sd)
-            assert b.sd[i] == pytest.approx(a.sd, rel=2e-3)
-            alone = one.quantile([0.025, 0.5, 0.975], of=name)
-            assert np.abs(quantiles[name][i] - alone).max() < 0.01 * a.sd
-            below = np.mean(draws[:, j, None] < alone, axis=0)
-            assert below == pytest.approx([0.025, 0.5, 0.975], abs=0.03)
-
-
-@pytest.mark.slow
-def test_the_end_of_a_ridge_in_a_box_of_a_hundred_sds_is_followed():
-    """Boxes were left out where signals bend between nodes: 0.1 sd off, whatever their length."""
-    cue = AngleSideAngle(side_sd=2e-3)
-    observer = ww.Observer(W, cue, GeneralisedWeber(0.0, floor=0.003))
-    reading = np.array([0.8801185468926863, 1.09915111415541])
-    mean, sd, off = load("stability_three").brute(observer, reading, 2.0)
-    assert off < 1e-6
-    p = ww.posterior(observer, reading)
-    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
-    assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
 def test_a_symmetric_ridge_has_the_sd_of_plain_sums():

@@ -11,7 +11,7 @@ from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.touches import touches
 from weberwhisk.mechanics.contact import Outcome
-from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import prior_draws, touches_jnd
 
 W = Whisker(50e-3, 100e-6, 5e-6)
@@ -36,14 +36,6 @@ def test_one_touch_is_todays_posterior(k, curvature):
         ends = np.ravel(today.quantile_error_of(np.array([0.025, 0.975]), 0))
         off = np.abs(np.subtract(one.interval(), today.interval()))
         assert np.all(off < 2e-3 * today.sd + ends)
-
-
-@pytest.mark.parametrize("cue", [cues.ForceMap(), cues.Compliance()], ids=repr)
-def test_ten_equal_touches_divide_the_sd_by_root_ten(cue):
-    observer = Observer(W, cue, Weber(0.03))
-    signals, _ = observer.signals(np.array([[25e-3, 0.2][: len(cue.unknowns)]]))
-    ten, one = touches(observer, np.repeat(signals, 10, axis=0)), touches(observer, signals)
-    assert ten.sd == pytest.approx(one.sd / np.sqrt(10), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -132,34 +124,6 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
     assert found.sd == pytest.approx(sd, rel=1e-3)
 
 
-def test_a_touch_of_next_to_no_axial_force_is_summed_finely():
-    """On a concave whisker the force passes through zero, and its noise: 4e-3 sd off, converged."""
-    observer = Observer(Whisker(50e-3, 100e-6, 5e-6, curvature=-12.0), cues.ForceMap())
-
-    def axial(r, theta):
-        return observer.signals(np.stack(np.broadcast_arrays(r, theta), axis=-1))[0][..., 1]
-
-    r = np.linspace(20e-3, 40e-3, 101)
-    top = observer.angle_range(r)[1]
-    low, high = 0.02 * top, 0.9 * top
-    for _ in range(50):  # where the force is none
-        middle = (low + high) / 2
-        below = axial(r, middle) * axial(r, low) > 0
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    zero, reading = low[:, None], np.array([[1.3e-6, -6e-9]])
-    near = np.geomspace(1e-7, 1.0, 1000)
-    theta = np.concatenate([zero * (1 - near[::-1]), zero + (top[:, None] - zero) * near], axis=1)
-    theta = (theta[:, 1:] + theta[:, :-1]) / 2, np.diff(theta, axis=1)
-    signals, _ = observer.signals(np.stack(np.broadcast_arrays(r[:, None], theta[0]), axis=-1))
-    weight = (np.exp(observer.noise.log_likelihood(reading, signals)) * theta[1]).sum(axis=1)
-    found = touches(observer, reading)
-    mean = weight @ r / weight.sum()
-    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
-    assert found.status == Status.CONVERGED
-    assert found.mean == pytest.approx(mean, abs=1e-3 * sd)
-    assert found.sd == pytest.approx(sd, rel=1e-3)
-
-
 RUBBING = Observer(W, cues.Friction(cues.ForceMap()))
 
 
@@ -192,25 +156,6 @@ def test_the_friction_of_each_touch_is_summed():
     assert found.sd == pytest.approx(sd, rel=5e-3)
 
 
-@pytest.mark.slow
-def test_one_touch_of_unknown_friction_is_its_posterior():
-    reading = RUBBING.read([[25e-3, 0.2, 0.1]], seed=1)
-    found, expected = touches(RUBBING, reading), posterior(RUBBING, reading[0])
-    assert found.status == Status.CONVERGED
-    assert found.mean == pytest.approx(expected.mean, abs=5e-3 * expected.sd)
-    assert found.sd == pytest.approx(expected.sd, rel=5e-3)
-
-
-def test_a_prior_of_the_angle_sharper_than_the_signals_is_summed():
-    """Steps between angles followed the signals alone: 5.7 mm where 24.9 is right, converged."""
-    known = Observer(W, cues.ForceMap(deflection_angle=0.2), Weber(0.3))
-    nearly = Observer(W, cues.ForceMap(), Weber(0.3), {"deflection_angle": norm(0.2, 1e-3)})
-    readings = known.read([[25e-3]] * 3, seed=3)
-    expected, found = touches(known, readings), touches(nearly, readings)
-    assert found.mean == pytest.approx(expected.mean, abs=0.02 * expected.sd)
-    assert found.sd == pytest.approx(expected.sd, rel=0.02)
-
-
 @pytest.mark.parametrize(
     "prior",
     [norm(30e-3, 3e-5), rv_histogram(([1.0, 0.0, 4.0], 0.01 * np.arange(1, 5)))()],
@@ -235,15 +180,6 @@ def test_touches_that_do_not_agree_say_so():
     observer = Observer(W, cues.ForceMap(), Weber(0.05))
     readings = observer.read([[15e-3, 0.2], [40e-3, 0.1]], seed=1)
     assert touches(observer, readings).status == Status.IMPROBABLE_READING
-
-
-def test_the_jnd_falls_with_the_number_of_touches():
-    observer = Observer(W, cues.ForceMap(), Weber(0.03))
-    table = touches_jnd(observer, 25e-3, [0.1, 0.2], [1, 4, 16], n_readings=30, seed=2)
-    posterior = table["posterior_mm"].to_numpy()
-    assert np.all(np.diff(posterior) < 0)
-    assert posterior == pytest.approx(table["fisher_mm"].to_numpy(), rel=0.15)
-    assert table["root_n_mm"][2] == pytest.approx(table["root_n_mm"][0] / 4)
 
 
 SOFT = Observer(replace(W, curvature=0.0), cues.UnknownStiffness(cues.ForceMap()), Weber(0.2))
@@ -297,31 +233,6 @@ def test_what_touches_share_is_summed(observer, known, contact):
     assert found.shared[observer.unknowns[-1]] == pytest.approx([middle, spread], rel=1e-3)
 
 
-@pytest.mark.parametrize("floor", [0.0, 1e-12])
-def test_a_touch_of_unknown_stiffness_is_its_posterior(floor):
-    """With a floor, too small to tell of, by a grid at each stiffness."""
-    noise = GeneralisedWeber(0.1, floor=floor) if floor else Weber(0.1)
-    observer = Observer(SOFT.whisker, SOFT.cue, noise)
-    reading = observer.read([28e-3, 0.3, 1.2], seed=1)
-    one, today = touches(observer, reading), posterior(observer, reading, tolerance=1e-6)
-    assert one.status == Status.CONVERGED
-    assert one.mean == pytest.approx(today.mean, abs=1e-4 * today.sd)
-    assert one.sd == pytest.approx(today.sd, rel=1e-4)
-    stiffness = today.estimates["stiffness"]
-    assert one.shared["stiffness"][0] == pytest.approx(stiffness.mean, abs=1e-3 * stiffness.sd)
-    assert one.shared["stiffness"][1] == pytest.approx(stiffness.sd, rel=1e-3)
-
-
-def test_a_touch_of_uncertain_curvature_is_its_posterior():
-    curved = replace(W, curvature=8.0)
-    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0))
-    reading = observer.read([28e-3, 0.3, 1.0], seed=1)
-    one, today = touches(observer, reading), posterior(observer, reading)
-    assert one.status == Status.CONVERGED
-    assert one.mean == pytest.approx(today.mean, abs=5e-4 * today.sd)
-    assert one.sd == pytest.approx(today.sd, rel=5e-4)
-
-
 def test_what_touches_share_does_not_average_out():
     """Of alike touches; touches that differ tell the stiffness from the distance."""
     table = touches_jnd(SOFT, 28e-3, [0.2], [1, 40], n_readings=4, seed=3)
@@ -357,15 +268,6 @@ def test_what_touches_refuse():
         touches(Observer(W, tap), [[1e-6]])
     with pytest.raises(ValueError, match="has 2 numbers"):
         touches(Observer(W, cues.ForceMap()), [1e-6])
-
-
-def test_thousands_of_touches_are_as_precise_as_they_should_be():
-    observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap())
-    reading = observer.signals([[30e-3, 0.2]])[0]
-    few, many = (touches(observer, np.repeat(reading, n, axis=0)) for n in (100, 2000))
-    assert few.status == many.status == Status.CONVERGED
-    assert many.sd == pytest.approx(few.sd / np.sqrt(20), rel=0.02)
-    assert many.mean == pytest.approx(few.mean, abs=0.5 * few.sd)
 
 
 FORCES, TAP = Observer(W, cues.ForceMap()), Observer(W, cues.Compliance())

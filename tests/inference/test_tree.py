@@ -21,7 +21,6 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk import Status, cues
 from weberwhisk.cues import (
-    AngleSideAngle,
     BalanceOfMoments,
     Compliance,
     ForceMap,
@@ -177,87 +176,6 @@ def test_the_node_of_a_vibration_is_seen():
     observer = ww.Observer(ww.Whisker(0.020661105421141163, size, size / 1.5), cue, noise)
     reading = [4.21922666e-06, 3.07810725e-04, 5.53596559e-01, 7.46958243e-02]
     assert worst(observer, np.array([reading]), fine=700).max() < 1
-
-
-def beside_bearings(observer, forces, reading, near, sd):
-    """Mean and sd of r: sums over contacts, and at each distance over bearings by themselves."""
-    low, high = np.array([-3.5, -25.0]), np.array([3.9, 16.0])
-    begin, end = np.clip(
-        reading[3] + 9 * sd * np.array([-1, 1]), *observer.prior["bearing"].support()
-    )
-    bearing = begin + (np.arange(800) + 0.5) / 800 * (end - begin)
-    for look, n in enumerate((500, 300, 200, 150, 150, 800)):
-        axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in zip(low, high, strict=True)]
-        if look < 3:  # narrow peaks fall between the nodes
-            fine = np.linspace(-1, 1, 81) / 10 ** (look + 1)
-            axes = [np.unique([*a, *(x + fine)]) for a, x in zip(axes, near, strict=True)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        log, contact = forces.log_density_and_contact(points, reading[:2])
-        r = contact[:, 0, 0]
-        inside = r < observer.reach[1]
-        at = np.where(inside, r, observer.reach[1] / 2)[:, None]
-        side = observer.cue.cues[1].side
-        first = np.arctan2(at * np.sin(bearing), side + at * np.cos(bearing))
-        off = (reading[2] - first) ** 2 + (reading[3] - bearing) ** 2
-        told = np.logaddexp.reduce(-off / (2 * sd**2), axis=1)
-        log = log + np.where(inside, told, -np.inf)[:, None]
-        held = log > log.max() - 45
-        for k in range(2):
-            some = np.flatnonzero(held.any(axis=1 - k))
-            step = (high[k] - low[k]) / n
-            low[k], high[k] = axes[k][some[0]] - 2 * step, axes[k][some[-1]] + 2 * step
-    weight = np.exp(log - log.max()).sum(axis=1)
-    mean = (weight * r).sum() / weight.sum()
-    return mean, np.sqrt((weight * (r - mean) ** 2).sum() / weight.sum())
-
-
-@pytest.mark.parametrize(
-    ("size", "reading", "contact"),
-    [
-        pytest.param(
-            (0.024971331059982557, 7.521048388864757e-05),
-            [1.8900256653811117e-05, 0.0021533000609796266, 0.7226200724557719, 1.9314817840506318],
-            [0.006768254143646576, 0.5528529665730625],
-            marks=pytest.mark.slow,
-        ),
-        (
-            (0.05185297081149176, 8.773142200404407e-05),
-            [9.913166983813144e-06, 0.0003158602164932332, 1.0732701191560092, 1.8918294349477653],
-            [0.012517397102813053, 0.270699481465071],
-        ),
-    ],
-)
-def test_fused_forces_and_bearings_find_the_peak(size, reading, contact):
-    """A cylinder's were 0.07 and 5.7 sd off, converged, with claims of 0.001 and 0.01."""
-    map_, angles = ForceMap(), AngleSideAngle()
-    cue = Fused(map_, angles)
-    whisker = ww.Whisker(size[0], size[1], size[1])
-    noise = cue.joint(Weber(0.01), GeneralisedWeber(0.0, floor=0.03))
-    observer, forces = ww.Observer(whisker, cue, noise), ww.Observer(whisker, map_, Weber(0.01))
-    near = forces.coordinates(np.array(contact))
-    mean, sd = beside_bearings(observer, forces, np.array(reading), near, 0.03)
-    p = ww.posterior(observer, reading)
-    assert p.mean == pytest.approx(mean, abs=PROMISED * sd)
-    assert p.sd == pytest.approx(sd, rel=PROMISED)
-
-
-def test_the_ends_of_an_interval_near_the_fold():
-    """The angle's upper end was 0.041 sd off, claimed 0.0005: 16 lines across were too few."""
-    observer = ww.Observer(W, ForceMap(), Weber(0.03))
-    contact = prior_draws(observer, 6, seed=3)
-    limit = ww.flick_past(observer.whisker, contact[:, 0]).deflection_angle
-    contact[:, 1] = limit * np.random.default_rng(1).uniform(0.97, 0.9999, 6)
-    reading = observer.read(contact, seed=4)[3:4]
-    p = ww.posterior(observer, reading)
-    weight, found = table(observer, reading[0], 800)
-    weight, angle = weight.ravel(), found[..., 1].ravel()
-    order = np.argsort(angle)
-    rise = np.cumsum(weight[order]) - weight[order] / 2
-    probability = np.array([0.025, 0.5, 0.975])
-    exact = np.interp(probability, rise / rise[-1], angle[order])
-    sd = p.estimates["deflection_angle"].sd[0]
-    off = np.abs(p.quantile(probability, of="deflection_angle")[0] - exact) / sd
-    assert off.max() < 0.01
 
 
 SHARES, STEPS = [1.0, 5.0, 0.0, 4.0], np.arange(5)

@@ -11,7 +11,6 @@ from weberwhisk.cues import (
     ForceMap,
     Friction,
     SpaceMap,
-    UnknownCurvature,
 )
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import fisher_jnd, is_linear, weber_propagation
@@ -98,15 +97,6 @@ def test_the_criterion_scales_every_route():
     assert np.allclose(ratio, ww.criterion_factor("75% 2AFC"))
 
 
-def test_engines_agree_on_the_curve():
-    observer = ww.Observer(W, Compliance(), Weber(0.1))
-    r = np.array([0.3, 0.7]) * L
-    a, b = (
-        ww.jnd_curve(observer, r, n_readings=40, seed=1, method=m) for m in ("quadrature", "emcee")
-    )
-    assert np.allclose(a["posterior"], b["posterior"], rtol=0.01)
-
-
 def test_contacts_that_are_not_held_stay_in_the_table():
     observer = ww.Observer(W, ForceMap(), Weber(0.1))
     curve = ww.jnd_curve(observer, np.array([0.5, 0.9]) * L, np.radians(20), n_readings=5, seed=1)
@@ -149,11 +139,6 @@ def test_seeds_repeat_and_matter():
 def test_misuse_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         ww.jnd_curve(ww.Observer(W, Compliance()), **arguments)
-
-
-def test_the_force_map_asks_for_its_angle():
-    with pytest.raises(ValueError, match="needs the deflection angle"):
-        ww.jnd_curve(ww.Observer(W, ForceMap()), 1e-2)
 
 
 def test_perfectly_correlated_signals_beyond_need_are_refused():
@@ -252,13 +237,6 @@ def test_linear_is_what_the_posterior_bears_out():
     told = curve.table[curve["linear"].to_numpy()]
     assert len(told) >= 5
     assert np.allclose(told["propagation_mm"], told["posterior_mm"], rtol=0.3)
-
-
-def test_next_to_a_curvature_of_nothing_is_as_without_any():
-    """Differences were as small as the offset, and so made of rounding: 2.5 % off."""
-    observer = ww.Observer(W, UnknownCurvature(ForceMap(), 1.0))
-    jnd = fisher_jnd(observer, [[30e-3, 0.2, -1e-9], [30e-3, 0.2, 0.0]])
-    assert jnd[0] == pytest.approx(jnd[1], rel=1e-6)
 
 
 def test_linear_is_the_same_at_all_azimuths():
