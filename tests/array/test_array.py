@@ -63,17 +63,6 @@ def test_published_coefficients_are_twice_the_measured_ones(species: str) -> Non
     assert 0.44 < np.median(ratio) < 0.56
 
 
-def test_base_diameters_of_the_rat_follow_their_equation_with_columns_from_zero() -> None:
-    path = resources.files("weberwhisk").joinpath("data/whisker_morphology.csv")
-    off = {0: [], 1: []}
-    for row in csv.DictReader(path.read_text("utf-8").splitlines()):
-        length, r = float(row["length_mm"]), "ABCDE".index(row["row"]) + 1
-        for start, found in off.items():
-            said = 0.041 + 0.002 * length + 0.011 * r - 0.0039 * (int(row["column"]) + start)
-            found.append(float(row["base_diameter_um"]) * 1e-3 - said)
-    assert abs(np.mean(off[0])) < 0.002 < abs(np.mean(off[1]))
-
-
 @pytest.mark.parametrize("species", ["rat", "mouse"])
 def test_base_points_have_their_mean_at_the_origin(species: str) -> None:
     whiskers = WhiskerArray(species).whiskers.values()
@@ -114,13 +103,6 @@ def test_protraction_turns_rostrally_and_rolls_by_row() -> None:
         assert np.isclose(after.roll - before.roll, 0.5 * ROLL["ABCDE".index(name[0])])
     assert rest.protract(0.2).protract(0.3) == forward
     assert rest.only(["C2"]).whiskers.keys() == {"C2"}
-
-
-def test_curvature_in_the_plane_of_whisking_falls_with_roll() -> None:
-    array = WhiskerArray("rat", "right", curved=True, identities=["C0", "C4"])
-    at_base = {n: float(w.whisker.law(np.array(0.0))) for n, w in array.whiskers.items()}
-    assert np.isclose(at_base["C0"], -5.309 * np.cos(np.radians(9.18575)))
-    assert np.isclose(at_base["C4"], -8.06 * np.cos(np.radians(56.13935)))
 
 
 @pytest.mark.parametrize(
@@ -292,15 +274,6 @@ def test_one_whisker_alone_says_what_its_posterior_says() -> None:
     np.testing.assert_allclose(near.mean, found.mean, atol=0.01 * found.sd.min())
 
 
-def test_the_mirrored_head_finds_the_mirrored_place() -> None:
-    right = observer("C2", "C3", "D2")
-    left = replace(right, array=replace(right.array, sides="left"))
-    readings = right.read([16e-3, -2e-3], seed=2)
-    found, mirrored = ww.place(right, readings), ww.place(left, readings)
-    np.testing.assert_allclose(mirrored.mean, found.mean * [-1, 1], atol=1e-3 * found.sd.min())
-    np.testing.assert_allclose(mirrored.sd, found.sd, rtol=1e-3)
-
-
 def test_a_turned_whisker_finds_the_turned_place() -> None:
     sensor = observer("E2").sensors["E2"]
     turned = replace(sensor, follicle=replace(sensor.follicle, azimuth=sensor.follicle.azimuth + 1))
@@ -327,18 +300,6 @@ def test_no_touch_leaves_the_region_that_is_not_excluded() -> None:
     assert np.isclose(found.bits, -np.log2(left.mean()), atol=0.02)
 
 
-def test_a_whisker_that_does_not_touch_narrows_the_place() -> None:
-    o = observer("C2", "C3")
-    readings = o.read([28e-3, 0.0], seed=6)
-    assert readings["C3"] is None
-    assert readings["C2"] is not None
-    with_it, alone = ww.place(o, readings), ww.place(o, {"C2": readings["C2"]})
-    assert with_it.area() < 0.9 * alone.area()
-    # One that may go unnoticed says nearly nothing.
-    unnoticed = ww.place(replace(o, missed=0.99), readings)
-    assert abs(unnoticed.area() / alone.area() - 1) < 0.02
-
-
 def test_readings_of_no_one_place_are_improbable() -> None:
     o = observer("C2", "C3", "D2", noise=receptors.Weber(0.02))
     near, far = o.read([14e-3, -2e-3], seed=1), o.read([28e-3, 0.0], seed=1)
@@ -361,15 +322,6 @@ def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() ->
     assert "no one place explains all readings within 5 sd" in repr(found)
     nowhere = repr(ww.place(both, dict.fromkeys(touches)))
     assert "whiskers touch; no contact; no whisker touches: 94 % of the region" in nowhere
-
-
-def test_degrees_are_noticed() -> None:
-    for make in (
-        lambda: WhiskerArray("rat").protract(40.0),
-        lambda: observer("C2", angle_sd=7.0),
-    ):
-        with pytest.warns(UserWarning, match="did you pass degrees"):
-            make()
 
 
 def test_taps_take_their_bearing_from_the_azimuth() -> None:

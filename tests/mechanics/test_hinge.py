@@ -10,15 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import weberwhisk as ww
 from weberwhisk import Whisker, cues, mechanics, receptors
-from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.design.plan_file import decode, encode
-from weberwhisk.inference import default_noise
 from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, elastica
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.recordings.calibration import HingedTap
-from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 PLAIN = Whisker(50e-3, 100e-6, 5e-6)
 SOFT = 2 * PLAIN.moment_scale  # N m/rad
@@ -194,36 +190,6 @@ def test_in_space_a_straight_whisker_turns_its_hinge_in_the_plane_of_the_contact
     np.testing.assert_allclose(back, contact, rtol=1e-5)
 
 
-@pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])  # 2, 15 s
-def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
-    """Of one that is known a plain sum of three unknowns says so too."""
-    kinds = default_noise(hinged(), cues.SpaceMap()).noises
-
-    def of(cue, noise):
-        return ww.Observer(hinged(), cues.UnknownHinge(cue, spread) if spread else cue, noise)
-
-    space = of(cues.SpaceMap(), receptors.Joint(kinds, [3, 2]))
-    flat = of(cues.ForceMap(SIGNALS), kinds[0])
-    reading = space.read([30e-3, 0.5, 1.0, SOFT][: len(space.unknowns)], seed=3)
-    found, alone = ww.posterior(space, reading), ww.posterior(flat, reading[:3])
-    assert found.status.name == "CONVERGED"
-    for name, estimate in alone.estimates.items():
-        assert found.estimates[name].mean == pytest.approx(estimate.mean, abs=4e-3 * estimate.sd)
-        assert found.estimates[name].sd == pytest.approx(estimate.sd, rel=4e-3)
-    if spread:
-        return
-    axes = [e.mean + e.sd * np.linspace(-5.5, 5.5, 41) for e in found.estimates.values()]
-    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    signals, outcome = space.cue.signals(hinged(), place)
-    log = space.noise.log_likelihood(reading, np.where(outcome[..., None] == 0, signals, 1.0))
-    weight = np.where(outcome == 0, np.exp(log - log.max()), 0.0)
-    for i, estimate in enumerate(found.estimates.values()):
-        mean = (weight * place[..., i]).sum() / weight.sum()
-        sd = np.sqrt((weight * (place[..., i] - mean) ** 2).sum() / weight.sum())
-        assert abs(estimate.mean - mean) < 2e-3 * sd
-        assert abs(estimate.sd / sd - 1) < 2e-3
-
-
 def test_what_a_shape_at_rest_does_in_space_to_a_whisker_on_a_hinge_is_unknown():
     mouse = Whisker.from_identity("C2", species="mouse", hinge_stiffness=1e-5)
     assert ww.Observer(mouse, cues.SpaceMap()).note.endswith("does to this cue is unknown")
@@ -245,16 +211,6 @@ def test_a_muscle_turns_a_whisker_on_a_hinge():
     np.testing.assert_allclose(both, known.signals(hinged(), r[:, None])[0], rtol=1e-6)
 
 
-def test_jnd_of_a_tap_grows_by_the_share_of_the_hinge():
-    r = np.array([[5e-3], [20e-3], [45e-3]])
-    clamped, soft = (ww.Observer(w, cues.Compliance(), receptors.Weber(0.1))
-                     for w in (PLAIN, hinged()))  # fmt: skip
-    lever = 1 / (1 / r[:, 0] - 1 / PLAIN.apex_distance)
-    more = 1 + 3 * PLAIN.stiffness / SOFT / lever
-    for jnd in (weber_propagation, fisher_jnd):
-        np.testing.assert_allclose(jnd(soft, r) / jnd(clamped, r), more, rtol=1e-6)
-
-
 def test_inverses_know_the_hinge():
     tap, r = cues.Compliance(), np.array([5e-3, 20e-3, 45e-3])
     rate, _ = tap.signals(hinged(), r[:, None])
@@ -262,18 +218,6 @@ def test_inverses_know_the_hinge():
     contact = np.array([[10e-3, 0.8], [30e-3, 0.4]])
     signals, _ = cues.ForceMap().signals(hinged(), contact)
     np.testing.assert_allclose(cues.ForceMap().contact(hinged(), signals)[0], contact, rtol=1e-8)
-
-
-def test_the_hinge_is_a_field_like_others():
-    whisker = hinged(1e-5)
-    assert repr(whisker).endswith("hinge_stiffness=1e-05)")
-    assert whisker != PLAIN
-    assert whisker == hinged(1e-5)
-    assert whisker.cylinder().hinge_stiffness == 1e-5
-    assert decode(encode(whisker)) == whisker
-    for wrong in (0.0, -1.0, np.inf):
-        with pytest.raises(ValueError, match="hinge_stiffness"):
-            hinged(wrong)
 
 
 W = hinged()
@@ -313,16 +257,6 @@ def test_what_takes_no_hinge_refuses_it(name):
 def test_an_unknown_hinge_needs_a_whisker_on_one():
     with pytest.raises(ValueError, match="needs a whisker on a hinge"):
         ww.Observer(PLAIN, cues.UnknownHinge(cues.ForceMap(), 0.3))
-
-
-def test_known_friction_goes_with_a_hinge():
-    forward = cues.Friction(cues.ForceMap(), -0.2).forward(hinged(), np.array([30e-3, 0.4]))
-    r, theta = np.array([20e-3, 30e-3]), np.array([0.5, 0.4])
-    signals, outcome = forward.signals(r, theta)
-    inner = theta - signals[:, 0] / SOFT
-    bent = ww.press(PLAIN, r, inner, -0.2)
-    np.testing.assert_allclose(signals[:, 0], bent.moment, rtol=1e-5)
-    assert np.all(outcome == Outcome.HELD)
 
 
 def test_a_soft_hinge_has_contacts_at_the_edge_of_what_is_held():

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from analysis_scripts import load
 from integrators import follow
 from scipy.integrate import solve_ivp
 
 import weberwhisk as ww
 from weberwhisk import Model, Outcome
-from weberwhisk.cli import app, run_app
 from weberwhisk.mechanics import closed_form, elastica, profile, rod
 from weberwhisk.mechanics.model_choice import _direction
 from weberwhisk.mechanics.scene import press_by
@@ -41,21 +39,6 @@ def test_by_default_each_scene_gets_the_lowest_rung_that_models_all_of_it():
     assert ww.press(CURVED, 30e-3, 0.3, roll=0.5).model == Model.ROD
     assert ww.press(Profile.of(STRAIGHT), 30e-3, 0.1).model == Model.PROFILE
     assert ww.press(STRAIGHT, 30e-3, 0.1, model="closed_form").model == Model.CLOSED_FORM
-
-
-def test_rung_2_is_rung_1_on_a_straight_whisker():
-    r, theta = np.linspace(5e-3, 40e-3, 6), 0.2
-    a, b = ww.press(STRAIGHT, r, theta), ww.press(STRAIGHT, r, theta, model="profile")
-    np.testing.assert_allclose(signals(a), signals(b), rtol=1e-8)
-    assert np.array_equal(a.outcome, b.outcome)
-
-
-def test_bend_and_press_agree_on_a_curved_whisker():
-    bent = ww.bend(CURVED, 30e-3, 3e-5)
-    back = ww.press(CURVED, bent.radial_distance, bent.deflection_angle)
-    assert back.outcome == Outcome.HELD
-    assert back.force == pytest.approx(3e-5, rel=1e-7)
-    assert back.moment == pytest.approx(bent.moment, rel=1e-7)
 
 
 def test_a_profile_takes_the_place_of_its_whisker():
@@ -94,23 +77,6 @@ def test_a_rolled_whisker_has_no_slopes_where_it_is_not_held():
     assert list(outcome) == [Outcome.HELD, Outcome.FLICKED_PAST, Outcome.OUT_OF_REACH]
     slopes = ww.signal_jacobian(CURVED, r, theta, roll=0.3)
     np.testing.assert_array_equal(np.isnan(slopes).all(axis=(1, 2)), [False, True, True])
-
-
-def test_a_straight_whisker_does_not_care_how_it_is_rolled():
-    a, b = (ww.bend(STRAIGHT, 30e-3, 1e-5, roll=roll) for roll in (0.0, 0.7))
-    np.testing.assert_array_equal(signals(a), signals(b))
-    a, b = (ww.flick_past(STRAIGHT, 30e-3, roll=roll).deflection_angle for roll in (0.0, 0.7))
-    assert a == b
-
-
-def test_the_other_side_of_a_straight_whisker_is_its_mirror_image():
-    r, side = np.array([20e-3, 35e-3, 60e-3]), np.array([[1.0], [-1.0]])
-    end = ww.flick_past(STRAIGHT, r, side=side)
-    np.testing.assert_array_equal(end.deflection_angle[0], -end.deflection_angle[1])
-    np.testing.assert_array_equal(end.at_moment_peak.moment[0], -end.at_moment_peak.moment[1])
-    np.testing.assert_array_equal(end.ended_by[0], end.ended_by[1])
-    other = profile.flick_past(STRAIGHT, r[:2], side=-1.0)
-    np.testing.assert_allclose(end.deflection_angle[1, :2], other.deflection_angle, rtol=1e-7)
 
 
 def test_roll_by_half_a_turn_is_the_other_curvature():
@@ -174,16 +140,6 @@ class Felt:
     @property
     def unknowns(self):
         return ("radial_distance", "deflection_angle")[: self.count]
-
-
-@pytest.mark.parametrize("package", [ww, ww.mechanics])
-def test_every_name_on_the_door_is_there(package):
-    assert package.__all__ == sorted(package.__all__, key=lambda name: (name.islower(), name))
-    for name in package.__all__:
-        assert getattr(package, name) is not None
-        assert name in dir(package)
-    with pytest.raises(AttributeError, match="nonsense"):
-        _ = package.nonsense
 
 
 # Every model on one table of scenes
@@ -351,28 +307,6 @@ def test_where_nothing_is_held_the_rung_that_knows_is_taken():
     )
 
 
-def test_the_command_line_says_which_rung_and_why(capsys):
-    contact = ["--radial-distance-mm", "20", "--deflection-angle-deg", "1,20,80"]
-    assert run_app(app, ["bend", "--identity", "C2", *contact]) == 0
-    said = capsys.readouterr().out
-    assert "At k = 0.1, the closed form is enough for 1 of 2: the closed form is off by" in said
-    assert "At k = 0.1, the straight elastica is enough for 1 of 2: the straight" in said
-
-
-def test_the_figure_shows_every_rung(tmp_path):
-    script = load("which_model")
-    shares = script.make(tmp_path, short=True).set_index(["whisker", "weber_fraction"])
-    assert (tmp_path / "which_model.png").stat().st_size > 10_000
-    np.testing.assert_allclose(shares.sum(axis=1), 1)
-    by_case = [shares.loc[case.name] for case in script.CASES]
-    for table, top in zip(by_case, (Model.ELASTICA, Model.PROFILE, Model.ROD), strict=True):
-        assert np.all(table.iloc[:, : top + 1] > 0)
-        assert np.all(table.iloc[:, top + 1 :] == 0)
-        # The coarser the receptor, the further the closed form goes and the less the top is needed.
-        assert np.all(np.diff(table.iloc[:, 0]) > 0)
-        assert np.all(np.diff(table.iloc[:, top]) < 0)
-
-
 # Ten thousand scenes
 
 
@@ -518,13 +452,6 @@ def test_the_rung_taken_is_right_in_a_thousand_scenes(count, seed):
     assert cheapest >= 0.90
     assert met_held >= 0.995
     assert cheapest_held >= 0.95
-
-
-def test_slopes_of_a_rolled_whisker_are_those_of_each_alone() -> None:
-    rolls = np.array([0.0, 0.1, 0.2, 0.3])
-    together = ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=rolls)
-    alone = [ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=float(roll)) for roll in rolls]
-    np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-12)
 
 
 def test_no_contacts_are_none_with_friction_too() -> None:

@@ -18,7 +18,6 @@ from property_strategies import (
 )
 
 import weberwhisk as ww
-from weberwhisk.mechanics import closed_form
 
 NUMBERS = (
     "moment", "axial_force", "transverse_force", "radial_distance", "deflection_angle",
@@ -82,18 +81,6 @@ def test_a_mirrored_contact_has_mirrored_signals(
     same(one.outcome, other.outcome)
 
 
-@given(whiskers(), FRACTIONS, ANGLES, models)
-def test_one_by_one_is_all_at_once(
-    w: ww.Whisker, fractions: np.ndarray, angles: np.ndarray, model: str | None
-) -> None:
-    r = fractions * w.length
-    together = ww.press(w, r[:, None], angles, model=model)
-    for i, j in np.ndindex(len(r), min(len(angles), 2)):
-        alone = ww.press(w, float(r[i]), float(angles[j]), model=model)
-        assert alone.outcome == together.outcome[i, j]
-        same(alone.moment, together.moment[i, j], rtol=1e-13)
-
-
 @given(whiskers(), floats(0.02, 0.999), floats(1e-4, 0.9999))
 def test_bend_undoes_press(w: ww.Whisker, fraction: float, share: float) -> None:
     r = fraction * w.length
@@ -152,18 +139,6 @@ def test_a_light_touch_is_the_closed_form(w: ww.Whisker, fraction: float, angle:
         assert off <= 2 * rough.error + 1e-9, name
 
 
-@given(whiskers(), floats(1e-3, 0.99), floats(1e-3, 0.5))
-def test_closed_form_inverts_itself(w: ww.Whisker, fraction: float, theta: float) -> None:
-    assume(w.tip_radius < 0.9 * w.base_radius)
-    r = fraction * w.length
-    b = closed_form.press(w, r, theta)
-    assume(b.held)
-    back = closed_form.contact_from_signals(w, b.moment, b.axial_force)
-    same(back[0], r, rtol=1e-6)
-    same(back[1], theta, rtol=1e-6)
-    same(closed_form.distance_from_moment(w, b.moment, theta), r, rtol=1e-9)
-
-
 @given(whiskers(), floats(0.01, 0.99), floats(0.01, 0.9))
 def test_slopes_are_those_of_the_signals(w: ww.Whisker, fraction: float, share: float) -> None:
     r = fraction * w.length
@@ -196,17 +171,6 @@ def test_curved_whiskers_with_friction_keep_the_symmetries(
     np.testing.assert_allclose(one.normalised_moment, -mirror.normalised_moment, **near)
     np.testing.assert_allclose(one.normalised_axial_force, mirror.normalised_axial_force, **near)
     np.testing.assert_allclose(one.normalised_moment, other.normalised_moment, **near)
-
-
-@given(whiskers(curved=True), floats(0.05, 0.999))
-def test_a_curved_whisker_at_rest_feels_nothing(w: ww.Whisker, fraction: float) -> None:
-    r = fraction * w.length
-    theta = ww.rest_angle(w, r)
-    mirror = ww.rest_angle(replace(w, curvature=-w.curvature), r)
-    same(theta, -mirror, rtol=1e-12)
-    assume(np.isfinite(theta))
-    b = ww.press(w, r, float(theta) + 1e-9)
-    assert abs(b.normalised_moment) < 1e-6 / max(1 - r / w.apex_distance, 1e-3) ** 1 / fraction
 
 
 @given(

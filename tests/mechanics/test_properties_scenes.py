@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
+from property_strategies import POWERS, floats, scaled, whiskers
 
 import weberwhisk as ww
-from weberwhisk import Observer, cues, receptors
+from weberwhisk import Observer, cues
 from weberwhisk.cues import BalanceOfMoments, Fused
 from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
-from weberwhisk.mechanics.modes import modes
 from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.sensitivity import fisher_jnd
 
@@ -78,47 +77,7 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     )  # fmt: skip
 
 
-@sweeps
-@given(whiskers(), floats(0.1, 0.95), floats(0.02, 0.2))
-def test_a_peg_swept_against_is_a_peg_pressed_against(
-    w: ww.Whisker, fraction: float, below: float
-) -> None:
-    assume(w.tip_radius > 1e-3 * w.base_radius)
-    r = fraction * w.length
-    s = ww.sweep(w, peg(r * np.cos(below), -r * np.sin(below)), ROTATIONS)
-    np.testing.assert_allclose(s.first_contact, below, atol=1e-6)
-    alone = ww.press(w, r, np.maximum(ROTATIONS - below, 0.0))
-    held = np.asarray(s.bending.held)
-    assert np.asarray(alone.held)[held].all()
-    np.testing.assert_allclose(
-        s.bending.moment[held], alone.moment[held], rtol=1e-4, atol=1e-7 * w.moment_scale
-    )
-    end = ww.flick_past(w, r)
-    if np.isfinite(s.end) and not s.tip.any():
-        np.testing.assert_allclose(s.end - below, end.deflection_angle, atol=2e-3)
-
-
 # -- vibrations -----------------------------------------------------------------------------------
-
-
-@given(whiskers(), POWERS, POWERS)
-def test_modes_are_orthonormal_and_scale(w: ww.Whisker, size: float, stiff: float) -> None:
-    m = modes(w, 4)
-    assert (np.diff(m.frequency) > 0).all()
-    assert (m.error < 1e-3).all()
-    other = modes(scaled(w, size, stiff), 4)
-    np.testing.assert_allclose(other.frequency, m.frequency * np.sqrt(stiff) / size, rtol=1e-9)
-    # Between the cylinder's and the cone's.
-    low, high = np.array([3.5160, 22.034, 61.697]), np.array([8.7193, 38.453])
-    assert low[0] * 0.9999 <= m.normalised_frequency[0] <= high[0] * 1.0001
-    assert (m.shape(w.length) > 0).all()
-    assert np.abs(m.shape(0.0)).max() < 1e-6 * np.abs(m.shape(w.length)).max()
-    s = (np.polynomial.legendre.leggauss(160)[0] + 1) / 2 * w.length
-    weight = np.polynomial.legendre.leggauss(160)[1] / 2 * w.length
-    radius = w.base_radius + (w.tip_radius - w.base_radius) * s / w.length
-    shapes = m.shape(s)
-    mass = (shapes * (weight * w.density * np.pi * radius**2)) @ shapes.T
-    np.testing.assert_allclose(mass, np.eye(4), atol=1e-6)
 
 
 # -- muscle against whisker -----------------------------------------------------------------------
@@ -200,14 +159,3 @@ def test_fused_cues_tell_no_less_than_each_alone(
     if len(fused.unknowns) == 1:  # information adds
         added = np.sum(np.array(alone) ** -2.0) ** -0.5
         np.testing.assert_allclose(together, added, rtol=1e-6)
-
-
-@given(whiskers(), floats(0.1, 0.8), logarithmic(0.01, 0.3), st.integers(2, 4))
-def test_looking_again_is_worth_a_root(w: ww.Whisker, fraction: float, k: float, n: int) -> None:
-    """n looks at one contact: the JND of one over √n, as of independent readings."""
-    assume(w.tip_radius < 0.9 * w.base_radius)
-    contact, noise = np.array([fraction * w.length]), receptors.Weber(k)
-    one = told(w, cues.Compliance(), contact, noise)
-    joint = receptors.Joint([noise] * n, sizes=[1] * n)
-    several = told(w, Fused(*[cues.Compliance() for _ in range(n)]), contact, joint)
-    np.testing.assert_allclose(several, one / np.sqrt(n), rtol=1e-9)

@@ -56,14 +56,6 @@ def test_jacobian_is_the_slope_of_the_signals(ratio):
     assert np.allclose(jacobian, np.stack([by_r, by_theta], axis=-1), rtol=1e-8)
 
 
-def test_bend_and_press_are_inverse():
-    w = ww.Whisker(50e-3, 100e-6, 5e-6)
-    b = ww.press(w, 30e-3, 0.1, model="closed_form")
-    c = ww.bend(w, 30e-3, b.force, model="closed_form")
-    assert c.deflection_angle == pytest.approx(0.1, rel=1e-14)
-    assert c.moment == pytest.approx(b.moment, rel=1e-14)
-
-
 def test_signals_on_no_taper_have_no_contact():
     w = ww.Whisker(50e-3, 100e-6, 5e-6)
     cylinder = w.cylinder()
@@ -111,12 +103,6 @@ def test_a_push_that_slides_off_the_tip_is_not_vouched_for(ratio):
     for push, gone in ((0.97, False), (1 + 1e-12, True), (1.3, True)):
         error = closed_form.press(w, r[low], push * last[low]).error
         assert np.all((error == 1) == gone)
-
-
-def test_zero_load_is_a_touch():
-    for bent in (closed_form.bend(W, 30e-3, 0.0), closed_form.press(W, 30e-3, 0.0)):
-        assert bent.outcome is ww.Outcome.HELD
-        assert bent.moment == bent.axial_force == bent.error == 0
 
 
 def test_far_past_every_fold_its_error_says_that_nothing_is_known():

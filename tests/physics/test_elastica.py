@@ -8,7 +8,6 @@ import pytest
 from analysis_scripts import load
 from integrators import follow
 from mpmath import mp
-from scipy.optimize import brentq
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -172,22 +171,6 @@ def test_at_flick_past_the_fold_or_the_tip_is_reached(ratio):
     assert np.allclose(Surface(w).limit(r), end.deflection_angle, rtol=1e-9)
 
 
-def test_the_fold_is_a_fold_of_the_force_given_face():
-    """Walking along a fixed r by force alone, the angle turns back where flick_past says."""
-    r = 0.5 * W.length
-    end = ww.flick_past(W, r)
-    top = 1.02 * float(end.at_end.arc_length)
-
-    def angle(force):
-        s = brentq(lambda s: float(ww.bend(W, s, force).radial_distance) - r, r, top, xtol=1e-15)
-        return float(ww.bend(W, s, force).deflection_angle)
-
-    force = float(end.at_end.force)
-    before, at, after = (angle(force * f) for f in (0.99, 1.0, 1.01))
-    assert at == pytest.approx(float(end.deflection_angle), rel=1e-9)
-    assert before < at > after
-
-
 def test_derivatives_meet_finite_differences_of_eighth_order():
     rng = np.random.default_rng(2)
     r = rng.uniform(0.02, 0.97, 1500) * W.length
@@ -214,34 +197,6 @@ def test_derivatives_meet_finite_differences_of_eighth_order():
         size[:, 2] = size[:, 1:].max(axis=1)
         error = np.abs(jacobian[:, :, column] - slope) / np.maximum(np.abs(slope), size)
         assert error.max() < 1e-8
-
-
-def test_similarity_in_modulus_and_length():
-    a = ww.press(W, 30e-3, 0.3)
-    stiff = ww.press(ww.Whisker(50e-3, 100e-6, 5e-6, 6e9), 30e-3, 0.3)
-    assert stiff.moment == pytest.approx(2 * a.moment, rel=1e-14)
-    large = ww.press(ww.Whisker(100e-3, 200e-6, 10e-6, 3e9), 60e-3, 0.3)
-    assert large.normalised_moment == pytest.approx(a.normalised_moment, rel=1e-13)
-    assert large.normalised_axial_force == pytest.approx(a.normalised_axial_force, rel=1e-13)
-
-
-def test_mirrored_deflection_mirrors_the_signals():
-    theta = np.linspace(0.01, 0.4, 7)
-    a, b = ww.press(W, 30e-3, theta), ww.press(W, 30e-3, -theta)
-    for key in ("moment", "transverse_force", "contact_angle", "deflection_angle", "force"):
-        assert np.array_equal(getattr(a, key), -getattr(b, key)), key
-    for key in ("axial_force", "arc_length", "radial_distance", "outcome"):
-        assert np.array_equal(getattr(a, key), getattr(b, key)), key
-    assert ww.bend(W, 30e-3, -1e-5).moment == -ww.bend(W, 30e-3, 1e-5).moment
-
-
-def test_everything_broadcasts():
-    whiskers = ww.Whisker(50e-3, 100e-6, np.array([5e-6, 20e-6, 100e-6])[:, None])
-    b = ww.press(whiskers, np.linspace(5e-3, 45e-3, 5), 0.05)
-    assert b.moment.shape == b.outcome.shape == b.model.shape == b.error.shape == (3, 5)
-    alone = ww.press(ww.Whisker(50e-3, 100e-6, 20e-6), 15e-3, 0.05)
-    assert np.ndim(alone.moment) == 0
-    assert alone.moment == pytest.approx(b.moment[1, 1], rel=1e-15)
 
 
 def test_the_shipped_map_is_the_one_the_script_builds():

@@ -122,18 +122,6 @@ def shot(profile, guess):
     return brentq(miss, guess * 0.98, guess * 1.02, rtol=1e-11)
 
 
-@pytest.mark.parametrize("name", ["taper", "hollow", "table"])
-def test_frequencies_against_shooting(name):
-    """The first five, of tables three, to 1e-6, by another equation form and SciPy's integrator."""
-    whisker = WHISKERS[name]
-    m = modes(whisker, 5 if name == "taper" else 3)
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-    exact = [shot(profile, w) for w in m.angular_frequency]
-    np.testing.assert_allclose(m.angular_frequency, exact, rtol=1e-6)
-    off = np.abs(m.angular_frequency / exact - 1)
-    assert np.all(off <= m.error + 3e-8)  # of which the shot's own share is the second
-
-
 def finite_elements(profile, n):
     """Stiffness and mass of n Hermite beam elements, clamped rows included, and their nodes."""
     h = profile.whisker.length / n

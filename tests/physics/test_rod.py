@@ -118,11 +118,6 @@ def test_turning_whisker_and_object_together_turns_the_signals():
     np.testing.assert_allclose(turn @ a.moment, b.moment, atol=1e-9 * np.abs(a.moment).max())
 
 
-def test_mirror_image_in_the_plane_of_curvature():
-    a, b = rod.press(CURVED, [[30e-3, 1e-3, 5e-3], [30e-3, 1e-3, -5e-3]]).force
-    np.testing.assert_allclose(a * [1, 1, -1], b, rtol=1e-9)
-
-
 def test_press_inverts_bend_and_ends_as_rung_2_does():
     b = rod.bend(CURVED, 30e-3, 6e-5, np.radians([10, 50, 90, 140]), 0.1)
     again = rod.press(CURVED, b.contact, 0.1)
@@ -136,18 +131,6 @@ def test_press_inverts_bend_and_ends_as_rung_2_does():
     space, plane = rod.press(CURVED, point), profile.press(CURVED, r, theta)
     np.testing.assert_array_equal(space.outcome, plane.outcome)
     np.testing.assert_array_equal(np.isnan(space.moment[:, 0]), plane.outcome != 0)
-
-
-def test_pathologies():
-    """At rest nothing acts; beyond the tip there is nothing; a huge load is past resolving."""
-    rest = rod.bend(CURVED, 30e-3, 0.0)
-    np.testing.assert_array_equal(rest.force, 0)
-    p = rod.press(CURVED, rest.contact)
-    assert p.outcome is Outcome.HELD
-    assert p.magnitude < 1e-9 * CURVED.force_scale
-    assert rod.bend(CURVED, 51e-3, 1e-6).outcome is Outcome.OUT_OF_REACH
-    assert rod.bend(CURVED, 30e-3, 1e3, 1.0).outcome is Outcome.FLICKED_PAST
-    assert rod.press(CURVED, [60e-3, 0, 0]).outcome is Outcome.OUT_OF_REACH
 
 
 def flat(r, theta):
@@ -247,16 +230,6 @@ def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance, shares):
         a, b = getattr(got, part)[held], getattr(true, part)[held]
         size = np.linalg.norm(b, axis=-1)
         assert np.all(np.linalg.norm(a - b, axis=-1) <= got.error[held] * size)
-
-
-def test_a_whisker_that_meets_the_sphere_twice_is_touched_nearer_to_the_base():
-    """κL = 4.5: the tip has curled back inside the sphere of radius 20 mm."""
-    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=90.0)
-    theta = profile.rest_angle(w, 20e-3) + 0.02
-    space, plane = rod.press(w, flat(20e-3, theta)), profile.press(w, 20e-3, theta)
-    assert space.outcome is plane.outcome is Outcome.HELD
-    assert space.arc_length == pytest.approx(plane.arc_length, rel=1e-8)
-    assert rod.press(w, flat(23e-3, 0.5)).outcome is Outcome.OUT_OF_REACH  # beyond 2/κ
 
 
 @pytest.mark.parametrize(

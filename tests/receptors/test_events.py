@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.cues import BalanceOfMoments, Compliance, ForceMap, Fused, VibrissaLength
+from weberwhisk.cues import Compliance, Fused, VibrissaLength
 from weberwhisk.receptors import Events, Weber
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
@@ -47,13 +47,6 @@ def test_information_is_the_mean_square_of_the_score(noise):
     assert noise.fisher(CHANCE) == pytest.approx((weight[:, None] * score).T @ score, rel=1e-7)
 
 
-def test_one_hot_reports_inform_by_their_mean_alone():
-    """The multinomial: linear propagation J'Σ⁻¹J is all of the information."""
-    slope = ONE_HOT.jacobian(CHANCE)
-    linear = slope.T @ np.linalg.inv(ONE_HOT.covariance(CHANCE)) @ slope
-    assert ONE_HOT.fisher(CHANCE) == pytest.approx(linear, rel=1e-12)
-
-
 @EVERY
 def test_the_stabilised_chances_carry_the_information(noise):
     h = 1e-6
@@ -71,14 +64,6 @@ def test_samples_come_as_often_as_their_chances(noise):
         p = np.exp(noise.log_likelihood(report, CHANCE))
         share = np.mean((sample == report).all(axis=-1))
         assert share == pytest.approx(p, abs=4.5 * np.sqrt(p * (1 - p) / n))
-
-
-def test_the_interval_leaves_out_what_hardly_ever_happens():
-    noise = Events([[0, 0], [1, 0], [1, 1]])
-    low, high = noise.interval([1e-9, 0.5], 5.0)
-    assert (low.tolist(), high.tolist()) == ([1, 0], [1, 1])
-    low, high = noise.interval([1e-5, 0.5], 5.0)
-    assert (low.tolist(), high.tolist()) == ([0, 0], [1, 1])
 
 
 def test_a_reading_that_reports_no_event_is_refused():
@@ -111,13 +96,6 @@ def test_an_event_joins_a_force_in_a_fusion():
     weight = np.exp(log - log.max())
     assert p.status == 0
     assert p.mean == pytest.approx(weight @ at / weight.sum(), rel=1e-7)
-
-
-def test_a_fusion_keeps_the_edge_of_its_cues():
-    cue = BalanceOfMoments(effort=None)
-    r = np.array([20e-3, 30e-3])
-    both = ww.Observer(W, Fused(cue, ForceMap()))
-    assert both.angle_range(r)[1] == pytest.approx(cue.largest_angle(W, r))
 
 
 @pytest.mark.parametrize(

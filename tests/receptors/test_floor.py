@@ -121,18 +121,6 @@ def test_noise_that_does_not_vanish_is_left_as_it_is():
         assert Observer(CONCAVE, ForceMap(), noise).noise is noise
 
 
-def test_another_weber_fraction_keeps_the_floor():
-    noise = default_noise(CONCAVE, ForceMap())
-    assert noise.with_weber_fraction(0.3) == default_noise(CONCAVE, ForceMap(), 0.3)
-    own = default_noise(CONCAVE, ForceMap(), [0.05, 0.2])
-    assert own.weber_fractions(2).tolist() == [0.05, 0.2]
-    assert np.array_equal(own.floors(2), noise.floors(2))
-    with pytest.raises(ValueError, match="one for each of 2 signals"):
-        default_noise(CONCAVE, ForceMap(), [0.1, 0.1, 0.1])
-    with pytest.raises(ValueError, match="weber_fraction must be above zero"):
-        default_noise(W, ForceMap(), 0.0)
-
-
 def test_an_observer_made_from_another_has_the_floor_of_its_own_whisker():
     straight = Observer(W, ForceMap())
     concave = replace(straight, whisker=CONCAVE)
@@ -184,13 +172,3 @@ def test_the_posterior_of_a_reading_of_no_axial_force_is_found():
     observer = ww.Observer(CONCAVE, ForceMap())
     found = ww.posterior(observer, [1.1e-6, 0.0])
     assert np.isfinite([found.mean, found.sd]).all()
-
-
-def test_ordinary_observers_pay_nothing_for_it(monkeypatch):
-    """Of a straight whisker's moment and axial force no signal is worked out."""
-
-    def refuse(*_, **__):
-        raise AssertionError
-
-    monkeypatch.setattr(ForceMap, "signals", refuse)
-    Observer(replace(W, length=41.234e-3), ForceMap())

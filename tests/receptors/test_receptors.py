@@ -7,7 +7,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Status, domain
-from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.cues import Compliance
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -188,27 +188,6 @@ def test_weber_is_the_limit_of_its_generalisations():
     same(weber, Saturating(**options, ceiling=1e15), rtol=1e-10)
 
 
-def test_without_a_weber_fraction_the_floor_is_constant_noise():
-    constant = GeneralisedWeber(1e-9, floor=0.5)
-    assert np.allclose(constant.fisher(SIGNALS), np.eye(2) / 0.25)
-
-
-def test_a_saturating_response_is_naka_rushtons_or_a_hard_ceiling():
-    soft = Saturating(0.1, ceiling=3.0)
-    assert np.allclose(soft.mean(SIGNALS), 3 * SIGNALS / (3 + np.abs(SIGNALS)), rtol=1e-14)
-    hard = GeneralisedWeber(0.1, floor=0.2, ceiling=3.0)
-    same(hard, Saturating(0.1, ceiling=3.0, floor=0.2, sharpness=1000.0))
-    assert np.array_equal(hard.saturated(SIGNALS), soft.saturated(SIGNALS))
-
-
-def test_information_falls_as_a_power_beyond_the_ceiling():
-    for p in (1.0, 2.5):
-        noise = Saturating(0.1, ceiling=1.0, sharpness=p)
-        about_log = [noise.fisher([s])[0, 0] * s**2 for s in (1e3, 1e4)]
-        assert about_log[1] / about_log[0] == pytest.approx(10 ** (-2 * p), rel=5e-3)
-    assert Saturating(0.1, ceiling=1.0).fisher([1e200])[0, 0] == 0
-
-
 def test_log_normal_noise_has_webers_moments_and_its_shape_as_k_falls():
     for k in (0.05, 0.5, 2.0):
         weber, log_normal = Weber(k), LogNormal(k)
@@ -223,13 +202,6 @@ def test_log_normal_noise_has_webers_moments_and_its_shape_as_k_falls():
         log = LogNormal(k).log_likelihood(reading, signals)
         divergence = weight @ (np.exp(log) * (log - Weber(k).log_likelihood(reading, signals)))
         assert divergence == pytest.approx(0.75 * k**2, rel=20 * k**2)
-
-
-def test_log_normal_is_scipys():
-    noise, reading = LogNormal(0.4), SIGNALS * [[1.3, 0.6]]
-    centre = np.abs(SIGNALS) * np.exp(-(noise.sigma**2) / 2)
-    expected = stats.lognorm.logpdf(np.abs(reading), noise.sigma, scale=centre).sum(axis=-1)
-    assert np.allclose(noise.log_likelihood(reading, SIGNALS), expected, rtol=1e-13)
 
 
 def test_a_log_normal_receptor_does_not_mistake_the_sign():
@@ -252,12 +224,6 @@ def test_a_signal_without_spread_is_impossible_not_nan():
     assert Weber(0.1).log_likelihood([1.0], [0.0]) == -np.inf
     assert Weber(0.1).log_likelihood([0.0], [0.0]) == -np.inf
     assert LogNormal(0.1).log_likelihood([0.0], [0.0]) == -np.inf
-
-
-@every_model
-def test_sampling_is_repeatable(noise):
-    a, b = (noise.sample(SIGNALS, seed=3) for _ in range(2))
-    assert np.array_equal(a, b)
 
 
 # -- observers ------------------------------------------------------------------------------------
@@ -330,14 +296,6 @@ def test_the_linear_jnd_goes_by_the_slope_of_the_response():
     blind = ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=0.0, ceiling=0.1 * UNIT))
     assert weber_propagation(blind, contact) == np.inf
     assert fisher_jnd(blind, contact) == np.inf
-
-
-def test_a_log_normal_force_map_has_webers_linear_jnd():
-    contact = [0.5 * W.length, 0.1]
-    weber, log_normal = (ww.Observer(W, ForceMap(), n) for n in (Weber(0.1), LogNormal(0.1)))
-    assert weber_propagation(log_normal, contact) == pytest.approx(
-        weber_propagation(weber, contact), rel=1e-12
-    )
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analysis_scripts import load
 from numpy.polynomial.legendre import leggauss
 from scipy import integrate, stats
 
@@ -41,16 +40,6 @@ def test_counts_are_scipys_poisson_and_negative_binomial():
         assert np.allclose(noise.log_likelihood(counts, signals), expected.sum(axis=1), rtol=1e-12)
 
 
-def test_a_small_random_gain_is_none():
-    signals = np.array([[2e-8], [3e-7]])
-    poisson, nearly = SpikeCount(SLOW), SpikeCount(SLOW, gain_sd=1e-4)
-    counts = poisson.sample(signals, seed=1)
-    assert np.allclose(
-        nearly.log_likelihood(counts, signals), poisson.log_likelihood(counts, signals), atol=1e-4
-    )
-    assert np.allclose(nearly.fisher(signals), poisson.fisher(signals), rtol=1e-6)
-
-
 def test_rates_are_naka_rushtons_times_the_time_they_last():
     slow = Afferents(3, 1.0, 100.0, peak_rate=80.0, exponent=1.5, spontaneous_rate=2.0)
     rapid = Afferents(2, 10.0, 1000.0, peak_rate=300.0, exponent=4.0, spontaneous_rate=1.0)
@@ -78,12 +67,6 @@ def test_each_signal_has_afferents_of_its_own():
     assert information[0, 0] == pytest.approx(moment.fisher([2e-7])[0, 0], rel=1e-12)
     assert information[1, 1] == pytest.approx(force.fisher([0.05])[0, 0], rel=1e-12)
     assert information[0, 1] == 0
-
-
-def test_a_faster_onset_recruits_rapidly_adapting_afferents_at_smaller_signals():
-    slow_onset, fast_onset = (SpikeCount(rapid=RAPID, rise_time=t) for t in (0.1, 0.01))
-    slow_k, fast_k = (n.effective_weber_fraction([1e-9])[0] for n in (slow_onset, fast_onset))
-    assert slow_k > 3 * fast_k
 
 
 # -- Weber's law ----------------------------------------------------------------------------------
@@ -223,30 +206,6 @@ def test_counts_of_two_signals_find_their_mode():
     assert not is_improbable(observer, counts, contact).any()
     counts[0, 0] += 100
     assert is_improbable(observer, counts, contact)[0]
-
-
-def test_long_tables_are_worked_on_in_pieces_to_the_same_end():
-    noise = SpikeCount(SLOW, RAPID)
-    signals = np.geomspace(1e-9, 1e-4, 3000)[:, None]
-    counts = noise.sample(signals, seed=6)
-    whole = noise.log_likelihood(counts, signals)
-    assert np.allclose(whole[-5:], noise.log_likelihood(counts[-5:], signals[-5:]), rtol=1e-13)
-    one = noise.log_likelihood(counts[7], signals)
-    assert np.allclose(one, noise.log_likelihood(counts[7:8], signals), rtol=1e-13)
-    assert np.allclose(one[7], whole[7], rtol=1e-13)
-    pairs = noise.log_likelihood(counts[:3, None], signals)
-    assert pairs.shape == (3, 3000)
-    assert np.allclose(pairs[[0, 1, 2], [0, 1, 2]], whole[:3], rtol=1e-13)
-
-
-def test_the_figure_of_all_models_is_made(tmp_path):
-    script = load("receptors")
-    table = script.make(tmp_path)
-    made = {path.name for path in tmp_path.iterdir()}
-    assert made == {"receptors.csv", "receptors.png", "receptors.svg", "receptors.run.json"}
-    counts, closed = table["100 afferents' counts"], table[script.CLOSED_FORM]
-    assert np.allclose(counts, closed, rtol=0.01)
-    assert np.allclose(table["Weber"], 1 / np.sqrt(102), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -25,15 +25,6 @@ def _taps(gain: float = 1.0, each: int = 12, hinge: float = HINGE, seed: int = 3
     return pd.DataFrame({"radial_distance_mm": 1e3 * r, "moment_rate": slopes})
 
 
-def test_a_hinge_in_series_is_two_compliances_added() -> None:
-    r = np.array([[0.05]])
-    clamped = ww.cues.Compliance().signals(TRUE, r)[0]
-    np.testing.assert_allclose(HingedTap().signals(TRUE, r)[0], clamped, rtol=1e-12)
-    spring = TRUE.compliance_constant / HINGE
-    series = 1 / (1 / clamped + 1 / spring)
-    np.testing.assert_allclose(HingedTap(HINGE).signals(TRUE, r)[0], series, rtol=1e-12)
-
-
 def test_eleven_distances_give_back_the_truth() -> None:
     """The bar: left-out errors within 2 % of the length, k within 15 %."""
     found = ww.calibrate(_taps(), NOMINAL)
@@ -168,16 +159,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     made = {p.name for p in (tmp_path / "out").iterdir()}
     assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json",
             "calibration.png"} <= made  # fmt: skip
-
-
-def test_slopes_over_velocities_are_not_beside_slopes() -> None:
-    taps = _taps(each=2).assign(angular_velocity=1.0)
-    contacts = taps[["moment_rate"]]
-    with pytest.raises(ValueError, match="the contacts have none"):
-        ww.locate(contacts, ww.calibrate(taps, NOMINAL, draws=1000))
-    found = ww.calibrate(taps.drop(columns="angular_velocity"), NOMINAL, draws=1000)
-    with pytest.raises(ValueError, match="the taps have none"):
-        ww.locate(contacts.assign(angular_velocity=1.0), found)
 
 
 def test_ends_of_intervals_stay_on_the_whisker() -> None:

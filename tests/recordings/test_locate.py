@@ -12,9 +12,8 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.inference import default_noise
 from weberwhisk.inference.one_distance import ReadingGroup, one_distance
-from weberwhisk.recordings.columns import find_columns, planar, unit_factor
+from weberwhisk.recordings.columns import find_columns
 from weberwhisk.recordings.locate import SPANS
 
 C2 = ww.Whisker.from_identity("C2")
@@ -99,16 +98,6 @@ def test_ridges_of_precise_readings_and_an_unknown_stiffness_are_whole() -> None
         assert found.loc[i, "sd_mm"] == pytest.approx(spread, rel=0.02), i
 
 
-def test_no_part_of_a_long_posterior_is_left_out_at_the_first_spacing() -> None:
-    forces = ["moment", "axial_force", "transverse_force"]
-    y = np.array([[8.54581789e-08, 1.85481110e-06, 2.47848520e-06]])
-    found = ww.locate(pd.DataFrame(y, columns=forces), KNOWN, noise=0.3)
-    cue = ww.cues.ForceMap(forces)
-    p = ww.posterior(ww.Observer(KNOWN, cue, default_noise(KNOWN, cue, 0.3)), y)
-    assert abs(found["radial_distance_mm"][0] - 1e3 * p.mean[0]) < 0.02e3 * p.sd[0]
-    assert found["sd_mm"][0] == pytest.approx(1e3 * p.sd[0], rel=0.01)
-
-
 def test_own_names_units_signs_and_index() -> None:
     b = ww.press(KNOWN, [10e-3, 20e-3, 25e-3], [0.2, 0.3, 0.2])
     plain = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
@@ -123,18 +112,6 @@ def test_own_names_units_signs_and_index() -> None:
     notes = " ".join(found.attrs["notes"])
     assert "mirrored" in notes
     assert "turned round" in notes
-
-
-def test_forces_alone_tell_side_and_sign() -> None:
-    b = ww.press(KNOWN, [10e-3, 20e-3, 15e-3], 0.3)
-    side = np.array([1, -1, 1])
-    table = pd.DataFrame(
-        {"transverse_force": side * b.transverse_force, "axial_force": -b.axial_force}
-    )
-    found = ww.locate(table, KNOWN)
-    np.testing.assert_allclose(found["radial_distance_mm"], [10, 20, 15], rtol=0.03)
-    assert "1 of 3 rows" in found.attrs["notes"][1]
-    assert "The axial force has the opposite sign" in found.attrs["notes"][2]
 
 
 def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:
@@ -282,21 +259,6 @@ def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side()
     assert np.abs(z).max() < 2.6
 
 
-def test_rows_of_a_table_are_what_each_is_alone() -> None:
-    """Rows in a table with their errors are what each is alone, with other rows' errors or not."""
-    rng = np.random.default_rng(1)
-    b = ww.press(KNOWN, rng.uniform(14e-3, 15e-3, 24), rng.uniform(0.3, 0.33, 24))
-    table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
-    for name in ("moment", "axial_force"):
-        table[f"{name}_sd"] = 0.05 * table[name].median() * rng.uniform(0.95, 1.05, 24)
-    table.loc[20:, "moment_sd"] *= 0.5
-    found = ww.locate(table, KNOWN)
-    for i in (0, 11, 19, 23):
-        alone = ww.locate(table.iloc[[i]], KNOWN)
-        for name in ("radial_distance_mm", "lower_mm", "upper_mm"):
-            assert abs(found.loc[i, name] - alone.loc[i, name]) < 0.02 * alone.loc[i, "sd_mm"]
-
-
 def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
     """`locate` and `fit` share the reader of tables, which asked both for trials."""
     path = tmp_path / "empty.csv"
@@ -333,20 +295,6 @@ def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
 def test_refusals_are_one_sentence(table: dict, options: dict, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         ww.locate(pd.DataFrame(table), KNOWN, **options)
-
-
-@pytest.mark.parametrize(
-    ("text", "kind", "factor"),
-    [("N m", "moment", 1), ("mN·m", "moment", 1e-3), ("uNm", "moment", 1e-6), ("mN", "force", 1e-3),
-     ("micronewton", "force", 1e-6), ("uN mm", "moment", 1e-9), ("Newton meters", "moment", 1),
-     ("millinewton-meter", "moment", 1e-3), ("µN⋅m", "moment", 1e-6), ("°", "angle", np.pi / 180),
-     ("uN m s^-1", "moment_rate", 1e-6), ("rad per second", "angular_velocity", 1),
-     ("deg s⁻¹", "angular_velocity", np.pi / 180),
-     ("degrees", "angle", np.pi / 180), ("N m/s", "moment_rate", 1),
-     ("kg", "force", None), ("mN", "moment", None), ("mrad", "angle", None)],
-)  # fmt: skip
-def test_units(text: str, kind: str, factor: float | None) -> None:
-    assert unit_factor(text, kind) == (None if factor is None else pytest.approx(factor))
 
 
 def test_the_command_writes_table_touches_and_figure(
@@ -415,11 +363,6 @@ def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, cou
         assert sentence.endswith(".")
     assert count / 3 < refused < count
     assert [p.name for p in tmp_path.iterdir()] == ["contacts.csv"]
-
-
-def test_six_signals_without_a_moment_are_no_contact() -> None:
-    si = {"moment_y": np.array([0.0, 3e-6]), "moment_z": np.array([0.0, 4e-6])}
-    np.testing.assert_allclose(planar(si, [])["moment"], [0.0, 5e-6], rtol=1e-12)
 
 
 def test_units_of_many_words_and_of_errors() -> None:

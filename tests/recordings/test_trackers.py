@@ -98,17 +98,6 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert [v[0] for v in tables["wrapped"]["x"]] == [0] * 4
 
 
-def test_whiskers_of_one_label_are_told_apart_by_number(tmp_path: Path) -> None:
-    """WhiskiWrap and ndx-whisk write label 0 for every segment of a frame."""
-    video = ww.read_tracking(_wrapped(tmp_path), pixels_per_mm=2, frame_rate=500)
-    assert "which whisker each is" in video.attrs["notes"][0]
-    whisker = ww.Whisker.from_identity("C2")
-    with pytest.raises(ValueError, match="identity=0"):
-        ww.tracked_signals(video, whisker)
-    with pytest.raises(ValueError, match="ten frames"):
-        ww.tracked_signals(video, whisker, identity=1)
-
-
 @pytest.mark.parametrize("kind", [b"bwhiskpoly1", b"whisk1", b"whiskold"])
 def test_other_kinds_are_refused_by_name(tmp_path: Path, kind: bytes) -> None:
     path = tmp_path / "a.whiskers"
@@ -178,15 +167,6 @@ def test_tables_of_points_with_gaps_swapped_columns_and_other_scales(tmp_path: P
         table = ww.read_tracking(path, pixels_per_mm=scale, frame_rate=500)
         with pytest.raises(ValueError, match="correct one of them"):
             ww.tracked_signals(table, whisker)
-
-
-def test_a_table_of_points_needs_its_columns(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    pd.DataFrame({"frame": [0, 0], "u": [1, 2]}).to_csv(path, index=False)
-    with pytest.raises(ValueError, match="frame, x and y"):
-        ww.read_tracking(path)
-    with pytest.raises(FileNotFoundError):
-        ww.read_tracking(tmp_path / "none.whiskers")
 
 
 def test_whiskers_are_turned_to_the_face(tmp_path: Path) -> None:
@@ -303,11 +283,3 @@ def test_points_out_of_order_and_from_the_tip_are_told(tmp_path: Path) -> None:
     assert any("if they run from the tip" in note for note in ww.read_tracking(path).attrs["notes"])
     right = ww.read_tracking(path, face="left")
     np.testing.assert_allclose(right["follicle_x"], found["follicle_x"])
-
-
-def test_whiskers_may_have_names(tmp_path: Path) -> None:
-    table = pd.DataFrame({"frame": 0, "whisker": np.repeat(["C2", "C1", "3"], 2), "x": range(6)})
-    table.assign(y=0).to_csv(tmp_path / "a.csv", index=False)
-    found = ww.read_tracking(tmp_path / "a.csv")
-    assert found["follicle_x"].tolist() == [4, 2, 0]
-    assert "3 is 0, C1 is 1, C2 is 2" in found.attrs["notes"][0]

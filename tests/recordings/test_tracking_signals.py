@@ -13,7 +13,6 @@ import weberwhisk as ww
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
-ROOT = Path(__file__).parents[2]
 C2 = ww.Whisker.from_identity("C2", curved=True)
 
 
@@ -35,29 +34,6 @@ def test_a_simulated_session_is_the_beams() -> None:
         off = np.hypot(row["x"] - true["pole_x"], row["y"] - true["pole_y"]).min()
         assert off < 2.01
         assert abs(row["length_px"] - 20e3 * C2.length) < 4
-
-
-def test_noise_and_missing_frames_are_as_asked() -> None:
-    smooth = {"frames": 40, "missing": 0.0, "spacing_px": 1.0}
-    exact, _ = simulate_tracking(C2, 20e-3, noise_px=0.0, **smooth)
-    own, _ = simulate_tracking(C2, 20e-3, noise_px=0.3, **smooth)
-    alike, _ = simulate_tracking(C2, 20e-3, noise_px=0.3, noise_length_px=30.0, **smooth)
-    for table, together in ((own, 0.0), (alike, np.exp(-1 / 30))):
-        noise = np.array([a - b for a, b in zip(table["y"], exact["y"], strict=True)])
-        assert noise.std() == pytest.approx(0.3, rel=0.1)
-        share = (noise[:, 1:] * noise[:, :-1]).mean() / noise.var()
-        assert share == pytest.approx(together, abs=0.02)
-    tracking, truth = simulate_tracking(C2, 20e-3, frames=300, spacing_px=20.0, missing=0.2)
-    assert truth["tracked"].sum() == len(tracking)
-    assert 0.7 < truth["tracked"].mean() < 0.9
-    assert tracking.attrs == {"pixels_per_mm": 20.0, "frame_rate": 500.0}
-
-
-def test_the_session_beside_the_choices_is_read() -> None:
-    tracking = ww.read_tracking(ROOT / "data_synthetic" / "tracked_session.csv")
-    truth = pd.read_csv(ROOT / "data_synthetic" / "tracked_session_truth.csv")
-    assert tracking["frame"].tolist() == truth.loc[truth["tracked"], "frame"].tolist()
-    assert tracking["length_px"].between(640, 690).all()
 
 
 def _scene(seed: int, distances: list[float], *, frames: int, **options: float):
@@ -344,30 +320,3 @@ def test_the_command_goes_from_a_trackers_file_to_distances(
     assert abs(located["radial_distance_mm"][held].median() - 15) < 0.1
     assert run_app(app, [*words[:4], "--frame-rate", "500"]) == 2
     assert "--pixels-per-mm 20" in capsys.readouterr().err
-
-
-def test_the_real_sample_has_no_shapes_and_says_so(tmp_path: Path) -> None:
-    sample = ROOT / "tests" / "data" / "tracking" / "test_5frames.measurements"
-    video = ww.read_tracking(sample, shortest_px=200, pixels_per_mm=20, frame_rate=500)
-    with pytest.raises(ValueError, match=r"measurements alone do not say the shape"):
-        ww.tracked_signals(video, C2)
-
-
-def test_sessions_and_lost_columns_are_told() -> None:
-    video, _ = _scene(4, [15e-3], frames=40)
-    one = ww.tracked_signals(video, C2).iloc[10:14]
-    two = one.assign(rest_curvature_per_m=one["rest_curvature_per_m"] + 1)
-    with pytest.raises(ValueError, match="several sessions, got 2"):
-        ww.locate(pd.concat([one, two]), C2)
-    with pytest.raises(ValueError, match="tracked shapes has no friction_angle_deg, transverse"):
-        ww.locate(one.drop(columns=["friction_angle_deg", "transverse_force_uN"]), C2)
-
-
-def test_labels_may_repeat_and_contacts_be_text() -> None:
-    video, truth = _scene(4, [15e-3], frames=40)
-    one = ww.tracked_signals(video, C2, contact=truth["contact"])
-    text = truth["contact"].map({True: "True", False: "False"})
-    both = pd.concat([video.assign(label=i, touch=text) for i in (0, 1)])
-    both.attrs = video.attrs
-    again = ww.tracked_signals(both, C2, identity=1, contact="touch")
-    pd.testing.assert_frame_equal(again, one)
