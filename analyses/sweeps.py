@@ -21,10 +21,10 @@ from matplotlib.figure import Figure
 import weberwhisk as ww
 from weberwhisk import plots
 from weberwhisk._util.output import Run
-from weberwhisk.inference.sweeping import SweepFilter, Track, follow
 from weberwhisk.mechanics.objects import Sweep, cylinder, peg, sweep
 from weberwhisk.mechanics.touch import Body
 from weberwhisk.receptors import Weber
+from weberwhisk.sweeping import SweepFilter, Track, follow
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 K = 0.1

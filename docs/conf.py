@@ -98,7 +98,7 @@ MODULES = {
     "weberwhisk.inference": "Posteriors and observers",
     "weberwhisk.recordings": "Measured contacts: tables, trackers, sensors",
     "weberwhisk.array": "Where whiskers stand, and an object's place from all of them",
-    "weberwhisk.inference.sweeping": "Contacts followed along a sweep",
+    "weberwhisk.sweeping": "Contacts followed along a sweep",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",

@@ -35,8 +35,8 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.effects import Drift, Floor
 from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.behaviour.trials import joined
-from weberwhisk.inference.sweeping import follow
 from weberwhisk.receptors import GeneralisedWeber
+from weberwhisk.sweeping import follow
 
 TRIALS = simulate_trials(trials_per_level=3, seed=1)
 ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]

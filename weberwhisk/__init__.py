@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from . import plots as plots
     from . import receptors as receptors
     from . import recordings as recordings
+    from . import sweeping as sweeping
     from ._util import campaign as campaign
     from ._util.output import cite as cite
     from .array import ArrayObserver as ArrayObserver
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from .inference import Posterior as Posterior
     from .inference import Status as Status
     from .inference import posterior as posterior
-    from .inference import sweeping as sweeping
     from .inference.observer import Observer as Observer
     from .inference.touches import Touches as Touches
     from .inference.touches import touches as touches
@@ -99,7 +99,7 @@ _MODULES = {
     name: name
     for name in ("array", "behaviour", "cues", "design", "inference", "mechanics",
                  "plots", "receptors", "recordings")
-} | {"campaign": "_util.campaign", "sweeping": "inference.sweeping"}  # fmt: skip
+} | {"campaign": "_util.campaign", "sweeping": "sweeping"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])

@@ -19,11 +19,11 @@ from scipy.optimize import elementwise
 
 from weberwhisk import Observer, Outcome, Whisker, press, sweep
 from weberwhisk.cues import ForceMap
-from weberwhisk.inference.sweeping import SweepFilter
 from weberwhisk.mechanics import cylinder, peg, wall
 from weberwhisk.mechanics.objects import Body, Sweep
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import fisher_jnd
+from weberwhisk.sweeping import SweepFilter
 
 Array = np.ndarray
 

@@ -36,11 +36,11 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, cylinder
 from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation
+from weberwhisk.sweeping import follow
 
 Array = np.ndarray
 L = float(WHISKER.length)

@@ -12,6 +12,7 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp, ndtr
 
+from weberwhisk._util.ensemble import sample_stacked
 from weberwhisk.behaviour import (
     PopulationFit,
     PopulationStatus,
@@ -24,7 +25,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.integrate.batch import of_fraction
 from weberwhisk.behaviour.trials import joined
-from weberwhisk.inference.ensemble import sample_stacked
 
 Array = NDArray[np.float64]
 

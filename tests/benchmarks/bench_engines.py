@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from weberwhisk._util.ensemble import sample_stacked
 from weberwhisk.inference.emcee import WALKERS
-from weberwhisk.inference.ensemble import sample_stacked
 
 Array = NDArray[np.float64]
 K = 0.1

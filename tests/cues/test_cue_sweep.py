@@ -10,12 +10,12 @@ from short_forms import short_or_full, slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
-from weberwhisk.inference.sweeping import SweepFilter, follow
 from weberwhisk.mechanics import elastica, profile
 from weberwhisk.mechanics import objects as slip
 from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.mechanics.objects import cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
+from weberwhisk.sweeping import SweepFilter, follow
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 FORWARD = ForwardModel(W)

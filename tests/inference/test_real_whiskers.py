@@ -23,11 +23,11 @@ from weberwhisk.cues import (
     Fused,
     UnknownCurvature,
 )
-from weberwhisk.inference.sweeping import SweepFilter
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import prior_draws
+from weberwhisk.sweeping import SweepFilter
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import weberwhisk as ww
 from weberwhisk import Whisker, cues, mechanics, receptors
-from weberwhisk.inference.sweeping import follow
 from weberwhisk.mechanics import closed_form, elastica
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.recordings.calibration import HingedTap
+from weberwhisk.sweeping import follow
 
 PLAIN = Whisker(50e-3, 100e-6, 5e-6)
 SOFT = 2 * PLAIN.moment_scale  # N m/rad

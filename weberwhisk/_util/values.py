@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Codes = NDArray[np.int8]  # members of an enumeration: outcomes, statuses, models
 Index = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
+Seed = int | np.random.SeedSequence | np.random.Generator | None
 
 
 class _WhenUsed:

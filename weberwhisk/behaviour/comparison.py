@@ -15,8 +15,8 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from .._util import checks
+from .._util.arviz_io import pointwise_loo
 from .._util.values import Array, Index, Shown
-from ..inference.arviz_io import pointwise_loo
 from .criticism import Rows
 from .estimates import check_fit
 from .fit import WeberFit

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from .._util import checks
+from .._util.arviz_io import ArvizData
 from .._util.threads import one_blas_thread
-from ..inference.arviz_io import ArvizData
 from . import report
 from .effects import Effect
 from .encodings import NOISES, Encoding

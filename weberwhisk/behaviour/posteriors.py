@@ -406,7 +406,7 @@ def sample(
     R-hat compares so many independent ensembles; `precision` is the Monte Carlo error requested, in
     posterior sds. `trouble` says so where the run has not converged.
     """
-    from ..inference.ensemble import Shortfall, sample_stacked
+    from .._util.ensemble import Shortfall, sample_stacked
 
     rng = np.random.default_rng(seed)
     free = np.flatnonzero(model.free)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from .._util.arviz_io import ArvizData
+from .._util.arviz_io import to_arviz as convert
 from .._util.output import plain
 from .._util.values import Array, counted, paragraphs
-from ..inference.arviz_io import ArvizData
-from ..inference.arviz_io import to_arviz as convert
 from .criticism import checks
 from .estimates import Estimates
 from .likelihood import Draws

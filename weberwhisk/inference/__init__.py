@@ -1,8 +1,8 @@
 """From readings to contacts: the observer, and the posterior of what it does not know."""
 
-from . import sweeping as sweeping
+from .floors import default_noise
 from .methods import Estimate, Posterior, Status, posterior
-from .observer import Observer, default_noise
+from .observer import Observer
 from .touches import Touches, touches
 
 __all__ = [

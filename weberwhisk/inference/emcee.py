@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
+from .._util.ensemble import StackedSample, sample_stacked
 from .._util.values import Array, Flags, Index
 from ..receptors import Seed
 from .coordinates import FARTHEST
-from .ensemble import StackedSample, sample_stacked
 from .laplace import climb, density_at, is_divided
 from .observer import Observer
 from .quadrature import quadrature

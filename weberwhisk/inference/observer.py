@@ -4,30 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util.checks import finite, numbers, one_of, positive, positive_number, shown
+from .._util.checks import finite, numbers, one_of, positive_number, shown
 from .._util.values import Array, Codes
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel
 from ..mechanics.shape import Profile
-from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Seed
+from ..receptors import ReceptorNoise, Seed
 from ..whisker import Whisker
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
-
-#: Floor of the noise of a signal that changes sign, over the signal's usual magnitude.
-FLOOR_SHARE = 0.01
-#: Signals of one sign at every contact; `axial_force` too without curvature and friction.
-ONE_SIGN = ("moment", "moment_rate", "angular_velocity", "effort")
-
+from .floors import default_noise, with_floors
 
 #: Fractions of the ranges of distance and angle between which trees look for contacts.
 ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
@@ -44,27 +39,6 @@ class Evaluated(NamedTuple):
     log_prior: Array
     signals: Array
     scores: Array
-
-
-def evaluated(
-    observer: Observer, contact: Array, log_prior: Array, signals: Array, outcome: Codes
-) -> Evaluated:
-    """What was found at some coordinates, without a density where contact is lost."""
-    held = (outcome == Outcome.HELD) & np.isfinite(log_prior) & np.isfinite(signals).all(axis=-1)
-    own = [i for i, n in enumerate(observer.unknowns[: observer.bounded]) if n in observer.prior]
-    scores = np.zeros((len(contact), 0))
-    if own:
-        with np.errstate(all="ignore"):
-            scores = observer.space.prior_scores(contact[..., : observer.bounded])[..., own]
-            # Scores end at ±9: beyond, by how far ln of the density is below its highest.
-            names = [observer.unknowns[i] for i in own]
-            below = [observer.space.peaks[n] - observer.prior[n].logpdf(contact[..., i])
-                     for i, n in zip(own, names, strict=True)]  # fmt: skip
-            depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
-        scores = np.copysign(np.maximum(np.abs(scores), depth), scores)
-        scores = np.where(held[:, None], scores, 0.0)
-    signals = np.where(held[:, None], signals, 0.0)
-    return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
 
 class _Filled(NamedTuple):
@@ -211,7 +185,7 @@ class Observer:
                 "A straight whisker has no torsion, which this noise would tell exactly, got "
                 f"{self.noise!r}; leave torsion out, or give its noise a floor."
             )
-        floored = _with_floors(self.noise, self.whisker, self.cue)
+        floored = with_floors(self.noise, self.whisker, self.cue)
         if floored is not self.noise:
             added = floored.floors(size) > self.noise.floors(size)
             names = " and ".join(np.array(self.cue.signal_names)[added])
@@ -325,12 +299,37 @@ class Observer:
         noises = self.noise.components(len(self.cue.signal_names))
         return self.cue.is_smooth and all(c.noise.is_smooth for c in noises)
 
-    def evaluate(self, x: Array) -> Evaluated:
-        """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
+    def evaluate(
+        self,
+        x: Array,
+        further: Sequence[Any] | None = None,
+        space: ContactCoordinates | None = None,
+    ) -> Evaluated:
+        """Contacts, prior, signals and scores at coordinates (N, U), without density where lost.
+
+        Of the first unknowns alone where `further` has the values of the others.
+        """
         with np.errstate(all="ignore"):
-            contact, log_prior = self.contact(x)
+            contact, log_prior = self.contact(x, further, space)
             signals, outcome = self.signals(contact)
-        return evaluated(self, contact, log_prior, signals, outcome)
+        held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+        held &= np.isfinite(signals).all(axis=-1)
+        given = [i for i, n in enumerate(self.unknowns[: self.bounded]) if n in self.prior]
+        scores = np.zeros((len(contact), 0))
+        if given:
+            with np.errstate(all="ignore"):
+                scores = self.space.prior_scores(contact[..., : self.bounded])[..., given]
+                # Scores end at ±9: beyond, by how far ln of the density is below its highest.
+                below = [
+                    self.space.peaks[self.unknowns[i]]
+                    - self.prior[self.unknowns[i]].logpdf(contact[..., i])
+                    for i in given
+                ]
+                depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
+            scores = np.copysign(np.maximum(np.abs(scores), depth), scores)
+            scores = np.where(held[:, None], scores, 0.0)
+        signals = np.where(held[:, None], signals, 0.0)
+        return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
     def contact_at(self, x: Array) -> Array:
         """Contacts (..., U) at coordinates (..., U)."""
@@ -584,98 +583,3 @@ def near_azimuth(reading: Array, turning: Any, azimuth: Array) -> Array:
     out = np.broadcast_to(reading, (*turns.shape, reading.shape[-1])).copy()
     out[..., turning] -= 2 * np.pi * turns[..., None]
     return out
-
-
-def default_noise(
-    whisker: Whisker, cue: Cue, weber_fraction: ArrayLike | None = None
-) -> ReceptorNoise:
-    """The noise of an observer that is given none: the cue's own, with a floor where it needs one.
-
-    Weber's law is of magnitudes. Of a signal that changes sign within the whisker's reach it would
-    leave contacts without noise, so that signal has a floor: 1 % of its median size in the reach.
-    Such are the axial force of a whisker that is touched on its concave side or rubs towards its
-    tip, the transverse force of heavy contacts, components of forces in space, and torsion.
-
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    cue : Cue
-    weber_fraction : float or sequence of float, optional
-        k of the signals whose noise has one, or one for each signal; by default the cue's own.
-
-    Raises
-    ------
-    ValueError
-        For Weber fractions that are not positive, or neither one nor one for each signal.
-
-    Examples
-    --------
-    >>> from weberwhisk import cues
-    >>> for curvature in (0.0, -12.0):
-    ...     w = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
-    ...     print(default_noise(w, cues.ForceMap(), 0.05))
-    Weber(0.05)
-    GeneralisedWeber(0.05, floor=[0.0, 7.6e-07])
-    """
-    noise, size = cue.default_noise(), len(cue.signal_names)
-    if weber_fraction is not None:
-        if np.size(weber_fraction) not in (1, size):
-            raise ValueError(
-                f"weber_fraction must be one number, or one for each of {size} signals "
-                f"({', '.join(cue.signal_names)}), got {np.size(weber_fraction)}; write 0.1, say."
-            )
-        k = positive("weber_fraction", weber_fraction, "write 0.1, say")
-        noise = noise.with_weber_fraction(k)
-    return _with_floors(noise, whisker, cue)
-
-
-@lru_cache(maxsize=256)
-def _floors(whisker: Whisker, cue: Cue) -> Array:
-    """Floor of each signal that changes sign within the whisker's reach, (S,), 0 of the others."""
-    floors = np.zeros(len(cue.signal_names))
-    space = ContactCoordinates(whisker, cue, cue.priors(whisker))
-    fractions = np.r_[1e-3, np.arange(0.1, 0.95, 0.1), 1 - 1e-3]
-    usual, tails = space.spread(fractions, others=5), space.spread(fractions, others=3)
-    tails[:, space.bounded :] *= 2.4  # as far out as posteriors go over nuisance parameters
-    with np.errstate(all="ignore"):
-        signals, outcome = cue.signals(whisker, space.constrain(np.concatenate([usual, tails]))[0])
-    held = outcome == Outcome.HELD
-    if held[: len(usual)].any():
-        size = np.median(np.abs(signals[: len(usual)][held[: len(usual)]]), axis=0)
-        least, most = signals[held].min(axis=0), signals[held].max(axis=0)
-        changes = (least < -1e-6 * size) & (most > 1e-6 * size)
-        # To two digits, so that a refusal names the very floor that is the default.
-        floors[changes] = [float(f"{FLOOR_SHARE * s:.2g}") for s in size[changes]]
-    floors.flags.writeable = False  # kept
-    return floors
-
-
-def _with_floors(noise: ReceptorNoise, whisker: Whisker, cue: Cue) -> ReceptorNoise:
-    """Noise with a floor where it vanishes with a signal that changes sign, else itself."""
-    plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
-    one_sign = (*ONE_SIGN, "axial_force") if plain else ONE_SIGN
-    lacks = np.array([name.rstrip("_0123456789") not in one_sign for name in cue.signal_names])
-    components = noise.components(len(lacks))
-    for own, signals, _ in components:
-        if own.is_categorical or not own.reads_signals:
-            lacks[signals] = False
-        elif lacks[signals].any():
-            lacks[signals] &= own.sd(np.zeros(lacks[signals].size)) == 0
-    if not lacks.any():  # before signals are worked out
-        return noise
-    floors = np.where(lacks, _floors(whisker, cue), 0.0)
-    if not floors.any():
-        return noise
-    parts = [_floored(own, floors[signals]) for own, signals, _ in components]
-    sizes = [signals.stop - signals.start for _, signals, _ in components]
-    return Joint(parts, sizes) if len(parts) > 1 else parts[0]
-
-
-def _floored(noise: ReceptorNoise, floors: Array) -> ReceptorNoise:
-    """Weber's law with further floors, of Weber fraction and correlation of the noise."""
-    if not floors.any():
-        return noise
-    if isinstance(noise, GeneralisedWeber):
-        return replace(noise, floor=np.where(floors > 0, floors, noise.floor))
-    k, rho = getattr(noise, "weber_fraction", 0.1), getattr(noise, "correlation", 0.0)
-    return GeneralisedWeber(k, floor=floors, correlation=rho)

@@ -19,7 +19,8 @@ from scipy.special import logsumexp, ndtr
 
 from .._util.values import Array, Index
 from .coordinates import constrain_distance, from_normal, leaps
-from .layers import HALVINGS, Axis, Layers
+from .layers import Layers
+from .nodes import HALVINGS, Axis
 from .observer import Observer
 from .quadrature import TOLERANCE, pieces_of
 from .tree import tree_of

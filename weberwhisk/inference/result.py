@@ -11,14 +11,13 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .. import domain
+from .._util.arviz_io import ArvizData
 from .._util.checks import finite
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
-from .arviz_io import ArvizData
 from .coordinates import UNITS, ContactCoordinates
 from .observer import Observer
 
@@ -232,7 +231,7 @@ class Posterior(Shown):
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;
         quadrature and Laplace are drawn from with `seed`. Many readings add a dimension.
         """
-        from .arviz_io import to_arviz
+        from .._util.arviz_io import to_arviz
 
         values = self.draws_of(draws, seed)
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
@@ -366,23 +365,6 @@ def is_unidentified(observer: Observer, contact: Array) -> Flags:
     known = np.isfinite(told).all(axis=(1, 2))
     least[known] = np.linalg.eigvalsh(information[:, :n, :n] - shared)[:, 0]
     return least < 0.25
-
-
-def checked_density(value: ArrayLike, points: Array, index: Index) -> Array:
-    """The log-density as (b, N), refused where it is NaN, +inf or of another shape."""
-    out = np.asarray(value, dtype=float)
-    if out.shape != points.shape[:2]:
-        raise ValueError(
-            f"The log-density must have shape {points.shape[:2]} for points of shape "
-            f"{points.shape}, got {out.shape}; return one value for each point."
-        )
-    if not np.max(out) < np.inf:
-        bad = tuple(np.argwhere(~(out < np.inf))[0])
-        raise ValueError(
-            f"The log-density of posterior {index[bad[0]]} is {out[bad]} at "
-            f"{points[bad].tolist()}; return -inf where the density is zero."
-        )
-    return out
 
 
 def refuse_impossible(reading: Array, highest: Array) -> None:

@@ -27,9 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import several, shown, whole
-from .._util.values import Array, Flags, Value
-
-Seed = int | np.random.SeedSequence | np.random.Generator | None
+from .._util.values import Array, Flags, Seed, Value
 
 
 class Component(NamedTuple):

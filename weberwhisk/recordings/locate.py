@@ -17,9 +17,8 @@ from .._util import checks
 from .._util.values import Array, Flags, Index
 from ..cues import Cue
 from ..cues.force_map import is_curved
-from ..inference import Status
+from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
-from ..inference.observer import Observer, default_noise
 from ..inference.one_distance import ReadingGroup, one_distance
 from ..inference.quadrature import TOLERANCE, sums_of
 from ..mechanics import Profile

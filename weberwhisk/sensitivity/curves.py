@@ -15,8 +15,8 @@ from .._util import campaign
 from .._util.checks import angle, finite, generator, one_of, positive, positive_number, whole
 from .._util.values import Array, Shown, pd, with_units
 from ..cues import Compliance, ForceMap
+from ..inference import Observer, default_noise
 from ..inference.coordinates import UNITS
-from ..inference.observer import Observer, default_noise
 from ..inference.touches import shared_unknowns, touches
 from ..mechanics import elastica, flick_past, press
 from ..mechanics.contact import Outcome

@@ -16,10 +16,8 @@ import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.values import Array, Flags
-from ..receptors import Seed
 from .arviz_io import mcse, rhat
-from .result import checked_density
+from .values import Array, Flags, Index, Seed
 
 #: Every second step is kept: half the memory, for 5 % of the information at best.
 THIN = 2
@@ -189,7 +187,7 @@ def sample_stacked(
     def density(rows: Array) -> Array:
         x = rows.reshape(len(alive), -1, dim)
         out = log_density(x, alive) if indexed else log_density(x)
-        return checked_density(out, x, alive).ravel()
+        return _checked_density(out, x, alive).ravel()
 
     def columns(rows: Array) -> Array:
         """Steps (n, rows, D) as functions or coordinates, (B, E, n, W, C)."""
@@ -278,3 +276,20 @@ def _checked_start(start: ArrayLike) -> Array:
             "line or plane they start on; scatter them."
         )
     return places
+
+
+def _checked_density(value: ArrayLike, points: Array, index: Index) -> Array:
+    """The log-density as (b, N), refused where it is NaN, +inf or of another shape."""
+    out = np.asarray(value, dtype=float)
+    if out.shape != points.shape[:2]:
+        raise ValueError(
+            f"The log-density must have shape {points.shape[:2]} for points of shape "
+            f"{points.shape}, got {out.shape}; return one value for each point."
+        )
+    if not np.max(out) < np.inf:
+        bad = tuple(np.argwhere(~(out < np.inf))[0])
+        raise ValueError(
+            f"The log-density of posterior {index[bad[0]]} is {out[bad]} at "
+            f"{points[bad].tolist()}; return -inf where the density is zero."
+        )
+    return out

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.values import Array
+from .values import Array
 
 if TYPE_CHECKING:
     from xarray import Dataset

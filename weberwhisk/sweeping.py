@@ -26,17 +26,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util.checks import finite, kind, non_negative, positive, refuse_hinge
-from .._util.values import Array, Codes, Flags, Index
-from ..cues import ForceMap
-from ..cues.protocol import Cue, readings
-from ..mechanics.contact import Outcome
-from ..mechanics.forward import ForwardModel
-from ..mechanics.objects import Walls, rate_on_wall, slid
-from ..mechanics.shape import Profile
-from ..receptors import ReceptorNoise, Seed
-from ..whisker import Whisker
-from .observer import Observer
+from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
+from ._util.values import Array, Codes, Flags, Index
+from .cues import ForceMap
+from .cues.protocol import Cue, readings
+from .inference import Observer
+from .mechanics.contact import Outcome
+from .mechanics.forward import ForwardModel
+from .mechanics.objects import Walls, rate_on_wall, slid
+from .mechanics.shape import Profile
+from .receptors import ReceptorNoise, Seed
+from .whisker import Whisker
 
 #: Share of objects that are walls; where in question with more than this probability, and beyond
 #: this share of the largest θ_d, they are `AT_LIMIT`.

@@ -1,0 +1,211 @@
+"""Readings on their way through a tree, from coarse cells to the lattices that are summed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .._util.values import Array, Flags, Index
+from .weighted import Leaves
+
+if TYPE_CHECKING:
+    from .tree import Level, Tree
+
+#: Most cells of one reading, and most times its cells are halved.
+MOST, DEEPEST = 300_000, 22
+
+
+class Task(NamedTuple):
+    """Pairs of readings and cells of one level, sorted by reading; whether it is their last."""
+
+    level: Level
+    row: Index
+    cell: Index
+    last: bool
+
+
+class Walk:
+    """One chunk of readings on their way from the coarse cells to their lattices."""
+
+    def __init__(
+        self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: Array,
+        out: Any,
+    ) -> None:  # fmt: skip
+        self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
+        self.readings, self.covariance = readings, covariance
+        self.log_slope = np.zeros(len(rows))
+        if tree.gaussian:
+            self.y, self.log_slope = tree.gaussian.readings(readings)
+        self.refined = np.zeros(len(rows), dtype=int)
+        #: The highest density of a cell that was left out, blurred, and of those that were not.
+        self.left_out, self.highest = np.full((2, len(rows)), -np.inf)
+
+    def missed(self, drop: float) -> Array:
+        """By how many nats what was left out may be less than `drop` below the highest, (n,).
+
+        Wide cells have densities of readings that are improbable everywhere which their halves
+        have not: beside those the right ones were given up.
+        """
+        known = np.isfinite(self.highest) & np.isfinite(self.left_out)
+        gap = np.zeros(len(known))
+        gap[known] = self.left_out[known] - self.highest[known] + drop
+        return np.maximum(gap, 0.0)
+
+    def first(self) -> Task:
+        """All readings beside all coarse cells."""
+        start, n = self.tree.start, len(self.rows_out)
+        row, cell = np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n)
+        return Task(start, row, cell, False)
+
+    def run(self, least: Array) -> None:
+        """From the coarse cells on, but for readings whose density is nowhere above `least`."""
+        least = least - self.log_slope
+        todo = [self.first()]
+        while todo:
+            task = todo.pop()
+            log = self.log(task.level, task.row, task.cell, blurred=not task.last)
+            first = np.flatnonzero(np.diff(task.row, prepend=-1))
+            top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(task.row)))
+            with np.errstate(invalid="ignore"):
+                depth = log - top
+                if not task.last:
+                    depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
+            kept = top >= least[task.row]
+            kept &= depth > -(self.drop if task.last else self.drop + self.tree.slack)[task.row]
+            if task.last:
+                self.highest[task.row[first]] = np.maximum.reduceat(log, first)
+            else:
+                out = np.where(kept, -np.inf, log)
+                most = self.left_out[task.row[first]]
+                self.left_out[task.row[first]] = np.maximum(most, np.maximum.reduceat(out, first))
+            if kept.any():
+                step = self._sum if task.last else self._halve
+                level, row, cell = task.level, task.row[kept], task.cell[kept]
+                todo += step(level, row, cell, log[kept], (log - top)[kept])
+
+    def log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
+        """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""
+        tree, rows, data = self.tree, self.tree.rows, level.data
+        if self.covariance is not None:
+            return self._log_measured(level, row, cell, blurred)
+        start = rows.blurred_constant.start if blurred else rows.constant.start
+        out = data[start][cell]
+        if tree.gaussian:
+            precision = rows.blurred_precision.start if blurred else rows.precision.start
+            z = []
+            for k in range(tree.size):
+                value = self.y[k][row] - data[rows.mean.start + k][cell]
+                value *= data[precision + k][cell]
+                z.append(value)
+            out = out + tree.gaussian.log(z, blurred)
+        if tree.others:
+            first = np.flatnonzero(np.diff(row, prepend=-1))
+            length = data[rows.other_length.start][cell] if blurred else None
+            signals = data[rows.signals][:, cell].T
+            for term in tree.others:
+                out = out + term.log(self.readings[row], signals, length, first)
+        return out
+
+    def _log_measured(self, level: Level, row: Index, cell: Index, blurred: bool) -> Array:
+        """The same with each reading's own covariance of measurement errors, by Cholesky's root."""
+        tree, rows, data, size = self.tree, self.tree.rows, level.data, self.tree.size
+        assert tree.gaussian
+        assert self.covariance is not None
+        sd = 1 / data[rows.precision][:, cell]
+        own, correlation = self.covariance[row], tree.gaussian.correlation
+        blur = 0.0
+        if blurred:
+            change = np.abs(data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1))
+            blur = (1.0 if level.depth < 2 else 0.36) * change.sum(axis=0) ** 2
+        out = data[rows.log_prior.start][cell] - 0.5 * size * np.log(2 * np.pi)
+        root: list[list[Array]] = []
+        z: list[Array] = []
+        for i in range(size):
+            line: list[Array] = []
+            value = self.y[i][row] - data[rows.mean.start + i][cell]
+            for j in range(i + 1):
+                part = own[:, i, j] + correlation[i, j] * sd[i] * sd[j]
+                if i == j and blurred:
+                    part = part + blur[i]  # type: ignore[index]
+                for k in range(j):
+                    part = part - line[k] * (root[j][k] if j < i else line[k])
+                line.append(part / root[j][j] if j < i else np.sqrt(part))
+                if j < i:
+                    value = value - line[j] * z[j]
+            root.append(line)
+            z.append(value / line[i])
+            out = out - 0.5 * z[-1] ** 2 - np.log(line[i])
+        return np.asarray(out)
+
+    def _lengths(self, level: Level, row: Index, cell: Index) -> Array:
+        """Lengths of cells along each axis (U, P), in sds of the readings."""
+        tree, rows, data = self.tree, self.tree.rows, level.data
+        if self.covariance is None:
+            return data[rows.length][:, cell]
+        own = np.stack([self.covariance[row, i, i] for i in range(tree.size)])
+        variance = own + data[rows.precision][:, cell] ** -2
+        change = data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1)
+        square = (change[:, : tree.size] ** 2 / variance).sum(axis=1)
+        square += (change[:, tree.size : -1] ** 2).sum(axis=1)
+        return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
+
+    def _halve(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Task]:
+        """Halve cells along the axes that are too long; where none is, they are the last."""
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts, own = np.diff(first, append=len(row)), row[first]
+        # Where the density is e^−d of the highest, an error of a share ε of that is one of ε e^d
+        # of its own: steps may be longer there.
+        near = depth > -self.tree.room
+        room = np.maximum(self.tree.room + depth[near], 0.0)
+        lengths = self._lengths(level, row[near], cell[near]) * np.sqrt(room / (2 * np.pi**2))
+        begin = np.flatnonzero(np.diff(row[near], prepend=-1))
+        ratio = np.zeros((self.tree.unknowns, len(own)))
+        ratio[:, np.isin(own, row[near][begin])] = np.maximum.reduceat(lengths, begin, axis=1)
+        wide = ratio > 1
+        stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
+        self.refined[own[stuck & wide.any(axis=0)]] = DEEPEST  # as often as it could be
+        last = ~wide.any(axis=0) | stuck
+        done = np.asarray((ratio <= 2).all(axis=0))
+        return self._tasks(level, row, cell, counts, wide, last, done)
+
+    def _tasks(
+        self, level: Level, row: Index, cell: Index, counts: Index, wide: Flags, stay: Flags,
+        done: Flags,
+    ) -> list[Task]:  # fmt: skip
+        """What comes next of rows: those that stay as they are, and by pattern those halved."""
+        tasks = []
+        if stay.any():
+            some = np.repeat(stay, counts)
+            tasks.append(Task(level, row[some], cell[some], True))
+        kinds = np.vstack([wide, done])[:, ~stay]
+        for kind in np.unique(kinds, axis=1).T:
+            own = ~stay & (np.vstack([wide, done]) == kind[:, None]).all(axis=0)
+            some = np.repeat(own, counts)
+            pattern = tuple(int(w) for w in kind[:-1])
+            child, split = self.tree._split(level, pattern, cell[some])
+            parts = 2 ** sum(pattern)
+            cells = (split[:, None] + np.arange(parts)).ravel()
+            tasks.append(Task(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
+        return tasks
+
+    def _sum(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Task]:
+        """Sum over lattices; those whose halves disagree are halved along that axis."""
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts, own = np.diff(first, append=len(row)), row[first]
+        rows, out = self.tree.rows, self.rows_out[own]
+        place = level.data[rows.place][:, cell].astype(np.int32)
+        contact = level.data[rows.contact][:, cell]
+        leaves = Leaves(level.step, out, first, place, log)
+        each = self.out.add(leaves, contact, self.log_slope[own], self.tree.smooth)
+        error = self.out.error[out]
+        wide = (each > 0.5 * each.max(axis=0)) & (error > self.tree.tolerance)
+        self.refined[own] += wide.any(axis=0)
+        stop = ~wide.any(axis=0) | (self.refined[own] > self.tree.refinements)
+        stop |= counts * 2.0 ** wide.sum(axis=0) > MOST
+        if stop.all():
+            return []
+        some = np.repeat(~stop, counts)
+        left = counts[~stop]
+        every = np.ones(len(left), dtype=bool)
+        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], ~every, every)
