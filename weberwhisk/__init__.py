@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from . import plots as plots
     from . import receptors as receptors
     from . import recordings as recordings
+    from . import sensitivity as sensitivity
     from . import sweeping as sweeping
     from ._util import campaign as campaign
     from ._util.output import cite as cite
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
     from .mechanics import rest_angle as rest_angle
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sweep as sweep
-    from .plots.designs import write_plan as write_plan
+    from .plots.plan import write_plan as write_plan
     from .recordings import calibrate as calibrate
     from .recordings import read_tracking as read_tracking
     from .recordings import tracked_signals as tracked_signals
@@ -92,14 +93,14 @@ _NAMES = {
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
-    "plots.designs": "write_plan",
+    "plots.plan": "write_plan",
     "_util.output": "cite",
 }
 _MODULES = {
     name: name
     for name in ("array", "behaviour", "cues", "design", "inference", "mechanics",
-                 "plots", "receptors", "recordings")
-} | {"campaign": "_util.campaign", "sweeping": "sweeping"}  # fmt: skip
+                 "plots", "receptors", "recordings", "sensitivity", "sweeping")
+} | {"campaign": "_util.campaign"}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])

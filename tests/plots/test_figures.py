@@ -262,7 +262,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
 def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
     """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
     no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
-                  "plan_page", "shown", "styled"}  # fmt: skip
+                  "shown", "styled"}  # fmt: skip
     assert set(plots.__all__) - no_figures <= set(drawn)
     found = {
         name: faults(one if isinstance(one, Figure) else plots.figure_of(one))

@@ -8,15 +8,14 @@ Conventions that every command keeps, beside those of `weberwhisk.cli`:
   ``--json`` prints the result alone on standard output, ``--seed`` makes a draw repeatable.
 
 Here is what they share: their options, the whisker and the cue that these describe, and what is
-printed in the end.
+printed in the end. The package's rooms are imported when they are used, so that help is quick.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -31,8 +30,12 @@ from .._util import checks
 from .._util.output import Run, to_json
 from .._util.values import Array, pd
 from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
-from ..cues.force_map import SIGNALS
-from ..inference import default_noise
+
+__all__ = [
+    "CUES", "NO_SHAPE", "SCENES", "Number", "Shape", "Text", "Texts", "as_asked", "command",
+    "describe", "enough_draws", "finish", "one_angle", "option", "pairs", "show", "the_cue",
+    "the_scene", "the_whisker", "weber_fractions", "whisker_line", "with_options",
+]  # fmt: skip
 
 Text = str | None
 Texts = list[str] | None
@@ -124,6 +127,33 @@ _SHARED: dict[str, Any] = {
 }
 #: What the library says, and what that is called in options.
 _CALLED = {"as_json": "json", "comparison": "compare", "columns": "column", "units": "unit"}
+#: Remedies of the library, and how they are written here.
+_REMEDIES = (
+    (r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'"),
+    (r'columns=\{"(\w+)": "([^"]+)"\}', r"--column \1='\2'"),
+    (r'columns=\{"(\w+)": …\}', r"--column \1='<its name>'"),
+    (r"columns key", "--column"),
+    (r"; 'none' is for no answer", "; write --label LABEL=none for no answer"),
+    (r"choice_labels=\{label: 'first' or 'second'\}",
+     "--label LABEL=first and --label LABEL=second"),
+    (r"choice_labels value", "the stimulus of --label"),
+    (r"choice_labels", "--label"),
+    (r"\bidentity=(\d+)", r"--label \1"),
+    (r"read_tracking\(shortest_px=…\)", "--shortest-px"),
+    (r"priors=\{'lapse_low': scipy\.stats\.beta\(([\d.]+), ([\d.]+)\)[^}]*\}",
+     r"--lapse-prior \1,\2"),
+    (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
+    (r"\(priors=\)", "(--lapse-prior)"),
+    (r"curved=True", "--curvature-per-m own"),
+    (r"\bcurvature=", "--curvature-per-m "),
+    (r"together=False", "--apart"),
+    (r"log_unit= ", "--log-unit "),
+)  # fmt: skip
+#: Parameters of the library that are options of the same name.
+_NAMES = (
+    "animals bias face find frame_rate log_unit method noise order pixels_per_mm runs scale "
+    "seed sessions shortest_px task touch trials"
+)
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
@@ -153,7 +183,14 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(**options: Any) -> None:
         if shaped:
             options["shape"] = Shape(*(options.pop(name) for name in _SHAPE))
-        function(**options)
+        try:
+            function(**options)
+        except ValueError as error:
+            if not raised_by_weberwhisk(error):
+                raise
+            names = "|".join([*kinds, *_CALLED])
+            words = re.sub(rf"^({names})\b(?!=)", lambda m: option(m[1]), str(error))
+            raise ValueError(with_options(words)) from error
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -220,7 +257,7 @@ def the_scene(
         name = None if cue is None else checks.one_of("cue", cue, (*CUES, *SCENES))
         made, angles = the_cue(name, angles_deg)
         k = weber_fractions(weber_fraction, len(made.signal_names))
-        return ww.Observer(whisker, made, default_noise(whisker, made, k)), angles
+        return ww.Observer(whisker, made, ww.inference.default_noise(whisker, made, k)), angles
     made = SCENES[cue](whisker)
     deflected = "deflection_angle" in made.unknowns
     useless = [(weber_fraction, "--weber-fraction")]
@@ -246,8 +283,8 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
     if name == "moment":
         known = one_angle(deflections, "The moment is encoded at one known angle")
         return ww.cues.ForceMap("moment", deflection_angle=known), np.array([])
-    signals = SIGNALS if name == "three-forces" else SIGNALS[:2]
-    return ww.cues.ForceMap(signals), deflections
+    third = ("transverse_force",) * (name == "three-forces")
+    return ww.cues.ForceMap(("moment", "axial_force", *third)), deflections
 
 
 def one_angle(angles: Array, why: str = "Choices are made at one deflection angle") -> float | None:
@@ -336,7 +373,7 @@ def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
         print(to_json(answer))
         return
     for line in lines:
-        print(_of_options(line))
+        print(with_options(line))
     if run.out_dir is not None:
         print(f"Written to {run.out_dir}: {', '.join(run.files)}.")
 
@@ -347,16 +384,20 @@ def show(
     """Print a whisker, a table and what is to be said of it."""
     answer = {"whisker": describe(whisker), "rows": table.to_dict("records")}
     words = table.to_string(index=False, float_format="{:.6g}".format, na_rep="-")
-    finish(run, as_json, answer, whisker_line(whisker), words)
-    if not as_json:
-        for line in notes:
-            print(_of_options(line))
+    finish(run, as_json, answer, whisker_line(whisker), words, *notes)
 
 
-def _of_options(line: str) -> str:
-    """A line, with what an observer's note asks for as it is written here."""
-    own = "write --curvature-per-m own"
-    return line.replace("write curved=True", own).replace("write curvature=", f"{own[:-3]}")
+def with_options(sentence: str) -> str:
+    """A sentence of the library, its remedies as they are typed here."""
+    for python, option_ in _REMEDIES:
+        sentence = re.sub(python, option_, sentence)
+    names = _NAMES.replace(" ", "|")
+    sentence = re.sub(rf"""\b({names})=["']([\w.-]+)["']""", _as_option, sentence)
+    return re.sub(rf"""\b({names})=([\w."'])""", _as_option, sentence)
+
+
+def _as_option(found: re.Match[str]) -> str:
+    return f"{option(found[1])} {found[2]}"
 
 
 def whisker_line(whisker: ww.Whisker) -> str:
@@ -382,17 +423,3 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
 def option(parameter: str) -> str:
     """The option that a parameter is written as."""
     return f"--{_CALLED.get(parameter, parameter).replace('_', '-')}"
-
-
-@contextmanager
-def options_named(parameters: Iterable[str]) -> Iterator[None]:
-    """Refusals of the library within, with options for the parameters that they name."""
-    names = "|".join(parameters)
-    try:
-        yield
-    except ValueError as error:
-        if not raised_by_weberwhisk(error):
-            raise
-        words = re.sub(rf"^({names})\b", lambda m: option(m[1]), str(error))
-        words = re.sub(rf"\b({names})=(?=[\w.])", lambda m: f"{option(m[1])} ", words)
-        raise ValueError(words) from error

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -15,32 +14,16 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text, to_json
-from .._util.values import Array
-from ..behaviour import CueEncoding, IdentityEncoding, task_named
-from ..behaviour.effects import effect_valued
-from ..behaviour.simulate import SIGNED_OFFSETS
-from ..behaviour.trials import STIMULI, data_package, describe_table
 from ..cli import numbers
-from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
-from ..design.placement import RULES
-from ..design.session import Session, converse
-from ..inference import default_noise
-from ..receptors import GeneralisedWeber, LogNormal, ReceptorNoise, Saturating
 
-_Model = Callable[[float, Array, Array], ReceptorNoise]
-#: Receptors of a number, the signals at half the length, and floors of signals that change sign.
-#: Their own Weber fraction, 0.1, is the scale of the one that is fitted.
-RECEPTORS: dict[str, _Model] = {
-    "floor": lambda number, typical, _: GeneralisedWeber(0.1, floor=number * typical),
-    "ceiling": lambda number, typical, floor: GeneralisedWeber(
-        0.1, floor=floor, ceiling=number * typical
-    ),
-    "saturating": lambda number, typical, floor: Saturating(
-        0.1, floor=floor, ceiling=number * typical
-    ),
-}
-#: Receptors of no number.
-PLAIN = ("weber", "log-normal")
+if TYPE_CHECKING:
+    from ..behaviour import CueEncoding
+    from ..receptors import ReceptorNoise
+
+__all__ = ["distance_encoding", "next_trials", "simulate"]
+
+#: Receptors with a number, in units of the signals at half the length, and without one.
+SCALED, PLAIN = ("floor", "ceiling", "saturating"), ("weber", "log-normal")
 
 
 def distance_encoding(
@@ -77,7 +60,7 @@ def distance_encoding(
             f"The cue {cue} has receptors of its own, got --receptors {receptors}; leave it out, "
             "or write --cue force-map."
         )
-    encoding = CueEncoding(observer, angle, unit=1e-3)
+    encoding = ww.behaviour.CueEncoding(observer, angle, unit=1e-3)
     if fitted and not encoding.has_weber_fraction:
         raise ValueError(
             f"The noise of the cue {cue} is that of angles, a constant: there is no Weber fraction "
@@ -89,15 +72,15 @@ def distance_encoding(
 def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:
     """The noise of forces that `--receptors` names."""
     name, _, given = text.partition("=")
-    checks.one_of("--receptors", name, (*PLAIN, *RECEPTORS))
+    checks.one_of("--receptors", name, (*PLAIN, *SCALED))
     if (name in PLAIN) == bool(given):
         raise ValueError(
             f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
             f"{name if given else f'{name}=0.5'}, say."
         )
-    usual = default_noise(observer.whisker, observer.cue, 0.1)
+    usual = ww.inference.default_noise(observer.whisker, observer.cue, 0.1)
     if name in PLAIN:
-        return usual if name == "weber" else LogNormal(0.1)
+        return usual if name == "weber" else ww.receptors.LogNormal(0.1)
     number = float(checks.positive("--receptors", given, f"write {name}=0.5, say"))
     contact: list[Any] = [0.5 * observer.whisker.length]
     if "deflection_angle" in observer.unknowns:
@@ -108,7 +91,11 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
             "--receptors are in units of the signals at half the length, and there the "
             "contact is lost; give a smaller --deflection-angle-deg."
         )
-    return RECEPTORS[name](number, typical, usual.floors(len(typical)))
+    # Their own Weber fraction, 0.1, is the scale of the one that is fitted.
+    if name == "floor":
+        return ww.receptors.GeneralisedWeber(0.1, floor=number * typical)
+    law = ww.receptors.Saturating if name == "saturating" else ww.receptors.GeneralisedWeber
+    return law(0.1, floor=usual.floors(len(typical)), ceiling=number * typical)
 
 
 @opt.command
@@ -152,6 +139,10 @@ def simulate(
     (--standard-mm with --identity or a shape). `weberwhisk fit` reads the table.
     """
     inputs = opt.as_asked(locals())
+    from ..behaviour.effects import effect_valued
+    from ..behaviour.simulate import SIGNED_OFFSETS
+    from ..behaviour.trials import STIMULI, data_package, describe_table
+
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
     if encoding is None and standard_mm:
@@ -287,6 +278,12 @@ def next_trials(
     {"error": ...} and the trial stands. With --log nothing is lost: start the same command again.
     """
     inputs = opt.as_asked(locals(), "log") | {"seed": seed}
+    from ..behaviour import CueEncoding, IdentityEncoding, task_named
+    from ..behaviour.trials import STIMULI
+    from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
+    from ..design.placement import RULES
+    from ..design.session import Session, converse
+
     if farthest == float("inf"):
         inputs["farthest"] = None
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)

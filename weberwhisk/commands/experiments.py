@@ -15,16 +15,15 @@ from .._util import checks
 from .._util.campaign import all_cores
 from .._util.output import Run, atomic_write, versions_in_words
 from .._util.values import counted, pd
-from ..behaviour.trials import STIMULI, rows_in_words
 from ..cli import numbers
-from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
-from ..design.experiment import WIDE
-from ..design.words import assumptions, offsets_in_words
-from ..plots.designs import fill
-from ..recordings.files import load_table
 
 if TYPE_CHECKING:
-    from ..design import AnalysisResult
+    from ..design import AnalysisResult, Constraints, Plan
+
+__all__ = ["analyse", "design", "in_words", "rehearse", "rig_trials"]
+
+#: Levels of `plan_experiment`, as numbers of the command line.
+_WIDE = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
 
 
 @opt.command
@@ -47,8 +46,7 @@ def design(
     ] = None,
     level: Annotated[
         opt.Texts,
-        "Comparisons, in sds of what the animal can tell.  "
-        f"[default: {','.join(f'{z:g}' for z in WIDE)}]",
+        f"Comparisons, in sds of what the animal can tell.  [default: {_WIDE}]",
     ] = None,
     best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
     trials: Annotated[
@@ -83,17 +81,19 @@ def design(
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
     inputs = opt.as_asked(locals())
+    from ..design import Goal, SubjectPopulation
+
     whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
     standards = numbers("--standard-mm", standard_mm or [])
     checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
-    levels = numbers("--level", level) if level else np.array(WIDE)
+    levels = numbers("--level", level or [_WIDE])
     encoded: dict[str, Any] = {}
     if cue is not None or deflection_angle_deg:
         felt, angles = opt.the_cue(cue, deflection_angle_deg)
         encoded = {"cue": felt, "deflection_angle": opt.one_angle(angles)}
     if bayes_factor is None and half_width is None:
         bayes_factor = 10.0
-    with opt.options_named(inputs), Run(out, "design", inputs, seed) as run:
+    with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
             goal=Goal(bayes_factor, half_width, share),
@@ -116,7 +116,10 @@ def design(
             progress=(lambda done: None) if as_json else None,
             **encoded,
         )
-        fill(run, plan)
+        if run.out_dir is not None:
+            from ..plots.plan import fill
+
+            fill(run, plan)
     opt.finish(
         run, as_json, _answer(plan, whisker), f"{opt.whisker_line(whisker)}\n", _summary(plan)
     )
@@ -139,7 +142,7 @@ def _constraints(
             "exchange them, say."
         )
     farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
-    return Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
+    return ww.design.Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
@@ -157,6 +160,8 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
 
 
 def _summary(plan: Plan) -> str:
+    from ..design.words import assumptions, offsets_in_words
+
     scheme = plan.scheme
     lines = [
         f"Goal: {plan.goal}.",
@@ -190,7 +195,7 @@ def rehearse(
         raise ValueError(
             f"{str(file)!r} is not a file; name the plan.json that `weberwhisk design` wrote."
         )
-    plan = read_plan(file)
+    plan = ww.read_plan(file)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
     with Run(out, "rehearse", inputs, seed) as run:
         stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
@@ -217,7 +222,7 @@ def rehearse(
 
 def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
     """Where the runs are kept while they come: a name for each question, to go on with."""
-    question = f"{plan_json(plan)} {runs} {seed}".encode()
+    question = f"{ww.design.plan_json(plan)} {runs} {seed}".encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -244,7 +249,7 @@ def analyse(
     for path in (file, *data):
         if not path.is_file():
             raise ValueError(f"{str(path)!r} is not a file; name a plan.json and tables of trials.")
-    plan = read_plan(file)
+    plan = ww.read_plan(file)
     trials = rig_trials(data, plan.hypotheses[0].task)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
     with Run(out, "analyse", inputs) as run:
@@ -262,6 +267,9 @@ def analyse(
 
 def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
     """The trials in one rig's tables, in mm; rows without a stimulus are no trials."""
+    from ..behaviour.trials import STIMULI
+    from ..recordings.files import load_table
+
     table = pd.concat([_with_choice(load_table(path)[0], path) for path in files])
     named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
     if "trial" not in table and "trial_number" in table:
@@ -271,6 +279,8 @@ def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
 
 def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     """The trials of one table, their answers as `choice`: 1, 0 or NaN for none."""
+    from ..behaviour.trials import rows_in_words
+
     places = np.arange(1, len(table) + 1)
     for name in ("stimulus_1_mm", "stimulus_1"):
         if name in table:

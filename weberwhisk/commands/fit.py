@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import weberwhisk as ww
 
@@ -13,33 +13,14 @@ from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
-from ..behaviour import CueEncoding, Encoding, FitStatus, with_distances
-from ..behaviour.effects import EFFECTS, Effect, effect_named
-from ..behaviour.trials import in_millimetres
 from ..cli import numbers
-from ..design import cues, noises, taper
-from ..recordings.files import load_table
 from .choices import distance_encoding
 
-#: What the library says, and what that is called here.
-AS_OPTIONS = (
-    (r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'"),
-    (r"columns key", "--column"),
-    (r"; 'none' is for no answer", "; write --label LABEL=none for no answer"),
-    (r"choice_labels=\{label: 'first' or 'second'\}",
-     "--label LABEL=first and --label LABEL=second"),
-    (r"choice_labels value", "the stimulus of --label"),
-    (r"choice_labels", "--label"),
-    (r"scale='log'", "--scale log"),
-    (r"log_unit= would", "--log-unit would"),
-    (r"log_unit=", "--log-unit "),
-    (r"""bias=["']per standard["']""", "--bias 'per standard'"),
-    (r"bias='(\w+)'", r"--bias \1"),
-    (r"priors=\{'lapse_low': scipy\.stats\.beta\(([\d.]+), ([\d.]+)\)[^}]*\}",
-     r"--lapse-prior \1,\2"),
-    (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
-    (r"\(priors=\)", "(--lapse-prior)"),
-)  # fmt: skip
+if TYPE_CHECKING:
+    from ..behaviour import CueEncoding, Encoding
+    from ..behaviour.effects import Effect
+
+__all__ = ["compared", "fit"]
 
 
 @opt.command
@@ -74,7 +55,8 @@ def fit(
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
         opt.Texts,
-        f"What else moves the answers: {', '.join(EFFECTS)}; may be repeated.",
+        "What else moves the answers: floor, contraction, history, drift, overdispersion; may be "
+        "repeated.",
         {"metavar": "NAME"},
     ] = None,
     lapse_prior: Annotated[
@@ -116,6 +98,8 @@ def fit(
     distances in millimetres, and the columns may be called stimulus_1_mm and so on.
     """
     inputs = opt.as_asked(locals())
+    from ..behaviour.effects import effect_named
+
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
     trials = _selected(trials, subject, session, together)
@@ -126,7 +110,7 @@ def fit(
             raise ValueError(
                 f"--distances {distances} needs the whisker that touched; add --identity C2, say."
             )
-        trials = with_distances(trials, distances, encoding)
+        trials = ww.behaviour.with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
     if prior is not None:
         known = checks.one_of("--prior", prior, ("levels",))
@@ -149,7 +133,7 @@ def fit(
         summary = result.summary().reset_index()
         run.table("fit", summary)
         answer = result.to_dict()
-        report = _as_options(result.report())
+        report = opt.with_options(result.report())
         if comparison is not None:
             table, verdict = compared(comparison, result, whisker)
             run.table("comparison", table)
@@ -158,7 +142,7 @@ def fit(
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
-            if result.status is not FitStatus.NO_TRIALS:
+            if result.status is not ww.behaviour.FitStatus.NO_TRIALS:
                 unit = "mm" if encoding else ""
                 run.figure("psychometric", ww.plots.psychometrics(result, unit=unit))
     lines = [report]
@@ -169,6 +153,8 @@ def fit(
 
 def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[pd.DataFrame, str]:
     """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
+    from ..behaviour.effects import EFFECTS
+
     checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":
         test = fit.weber_law_test()
@@ -184,20 +170,20 @@ def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[p
         found = ww.compare({f"without {name}": fit, name: fitted(fit.encoding, EFFECTS[name])})
         return found.table.reset_index(), found.report()
     if name == "noise":
-        given = noises(fit.encoding, fit.standards)
-    elif whisker is None or not isinstance(fit.encoding, CueEncoding):
+        given = ww.design.noises(fit.encoding, fit.standards)
+    elif whisker is None or not isinstance(fit.encoding, ww.behaviour.CueEncoding):
         raise ValueError(
             f"--compare {name} needs a whisker, got none; write --identity C2, or a shape."
         )
     elif name == "taper":
-        given = taper(whisker, unit=fit.encoding.unit)
+        given = ww.design.taper(whisker, unit=fit.encoding.unit)
     elif (angle := fit.encoding.deflection_angle) is None:
         raise ValueError(
             "--compare cues needs the deflection angle of the contacts; write --cue force-map "
             "--deflection-angle-deg 10, say."
         )
     else:
-        given = cues(whisker, angle, unit=fit.encoding.unit)
+        given = ww.design.cues(whisker, angle, unit=fit.encoding.unit)
     found = ww.compare({h.name: fitted(h.encoding) for h in given})
     return found.table.reset_index(), found.report()
 
@@ -216,28 +202,21 @@ def _trials(
                 f"Distances encoded through a whisker are on a linear scale, got {scale!r}; "
                 "leave --scale out."
             )
-    try:
-        labels = opt.pairs("--label", label, "L=first") or None
-        return ww.read_trials(
-            file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit
-        )
-    except ValueError as error:
-        raise ValueError(_as_options(str(error))) from None
+    labels = opt.pairs("--label", label, "L=first") or None
+    return ww.read_trials(
+        file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit
+    )
 
 
 def _with_millimetres(file: Path) -> dict[str, str]:
     """The stimulus columns whose names carry their unit, as `simulate` writes them."""
+    from ..behaviour.trials import in_millimetres
+    from ..recordings.files import load_table
+
     try:
         return in_millimetres(load_table(file)[0])
     except ValueError:  # `read_trials` says what is wrong with it
         return {}
-
-
-def _as_options(sentence: str) -> str:
-    """A sentence of the library with its remedies as this command takes them."""
-    for python, option in AS_OPTIONS:
-        sentence = re.sub(python, option, sentence)
-    return sentence
 
 
 def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
@@ -256,10 +235,7 @@ def _fit_together(
     out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     with Run(out, "fit", inputs, seed) as run:
-        try:
-            found = ww.fit_population(trials, seed=seed, **options)
-        except ValueError as error:
-            raise ValueError(_as_options(str(error))) from None
+        found = ww.fit_population(trials, seed=seed, **options)
         run.table("subjects", found.subjects)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")

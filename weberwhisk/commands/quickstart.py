@@ -13,9 +13,7 @@ import weberwhisk as ww
 from .._util.checks import positive
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
-from ..behaviour import load_rat_auditory
 from ..cli import progress
-from ..sensitivity import linear_surface, weber_propagation
 from . import command, describe, enough_draws, finish, whisker_line
 from .whiskers import curve_in_steps
 
@@ -108,7 +106,7 @@ def jnd_surface(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
     """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
-    table = linear_surface(moment_dominated(whisker, k))
+    table = ww.sensitivity.linear_surface(moment_dominated(whisker, k))
     run.table("jnd_surface", table)
     # A twentieth or a hundredth of the noise makes so thin a ridge that at 0.3 L and 10 degrees
     # most quadratures were flagged; with a tenth up to four in ten at the worst of these contacts.
@@ -134,7 +132,7 @@ def jnd_surface(
 
     def at(place: float, angle: float) -> float:
         contact = np.array([place * whisker.length, np.radians(angle)])
-        return float(weber_propagation(along, contact)) / scale
+        return float(ww.sensitivity.weber_propagation(along, contact)) / scale
 
     return {
         "flick_past_degrees_at_half_length": float(
@@ -168,7 +166,7 @@ def rat_choices(
 
     By default in the last sessions before its ladder of levels changed: it has learnt most.
     """
-    trials = load_rat_auditory(range(sessions[0], sessions[1] + 1))
+    trials = ww.behaviour.load_rat_auditory(range(sessions[0], sessions[1] + 1))
     never = {"lapse_low": 0.0, "lapse_high": 0.0}
     with progress("Weber fraction of the rat", 2, as_json=as_json) as advance:
         fit = ww.fit_weber(trials, bias="per standard", seed=seed)

@@ -172,7 +172,9 @@ def jnd(
         )
     lost = sorted(o for o in set(written["outcome"]) if not o.startswith("held"))
     notes += [f"{outcome[:1].upper()}{outcome[1:]}." for outcome in lost]
-    opt.show(written, run, whisker, as_json, [*notes, *filter(None, [observer.note])])
+    if not as_json:  # the note takes longer than the rest
+        notes += [observer.note] * bool(observer.note)
+    opt.show(written, run, whisker, as_json, notes)
 
 
 def curve_in_steps(
@@ -258,35 +260,31 @@ def locate(
             shown[0] = done / total
 
         if pixels_per_mm is not None or contacts.suffix.lower() in TRACKERS:
-            with opt.options_named(
-                ["pixels_per_mm", "frame_rate", "identity", "pole", "shortest_px", "face"]
-            ):
-                video = ww.read_tracking(
-                    contacts, shortest_px=shortest_px, face=face, pixels_per_mm=pixels_per_mm,
-                    frame_rate=frame_rate,
-                )  # fmt: skip
-                pole = numbers("--pole-px", pole_px) if pole_px else None
-                signals = ww.tracked_signals(video, whisker, identity=label, pole=pole)
+            video = ww.read_tracking(
+                contacts, shortest_px=shortest_px, face=face, pixels_per_mm=pixels_per_mm,
+                frame_rate=frame_rate,
+            )  # fmt: skip
+            pole = numbers("--pole-px", pole_px) if pole_px else None
+            signals = ww.tracked_signals(video, whisker, identity=label, pole=pole)
             heard = (*video.attrs["notes"], *signals.attrs["notes"])
             table_or_path = signals
-        with opt.options_named(["columns", "units", "touch", "noise"]):
-            mapped = opt.pairs("--column", column, "moment=M_uNm")
-            units = opt.pairs("--unit", unit, "moment=mN m")
-            by: Any = whisker
-            if taps is not None:
-                by = ww.calibrate(
-                    taps, whisker, columns=mapped, units=units, counts=counts, hinge=not clamped
-                )
-                heard = (*heard, by.message)
-            elif counts or clamped:
-                raise ValueError(
-                    "--counts and --clamped say how taps are read, got no --taps; write "
-                    "--taps taps.csv, or leave them out."
-                )
-            table = ww.locate(
-                table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
-                known_stiffness=shape.youngs_modulus_gpa is not None, progress=step,
-            )  # fmt: skip
+        mapped = opt.pairs("--column", column, "moment=M_uNm")
+        units = opt.pairs("--unit", unit, "moment=mN m")
+        by: Any = whisker
+        if taps is not None:
+            by = ww.calibrate(
+                taps, whisker, columns=mapped, units=units, counts=counts, hinge=not clamped
+            )
+            heard = (*heard, by.message)
+        elif counts or clamped:
+            raise ValueError(
+                "--counts and --clamped say how taps are read, got no --taps; write "
+                "--taps taps.csv, or leave them out."
+            )
+        table = ww.locate(
+            table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
+            known_stiffness=shape.youngs_modulus_gpa is not None, progress=step,
+        )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])
         ):
@@ -334,16 +332,11 @@ def calibrate(
     options = opt.as_asked(locals())
     whisker = opt.the_whisker(shape)
     with Run(out, "calibrate", options, seed) as run:
-        with opt.options_named(["columns", "units"]):
-            found = ww.calibrate(
-                taps,
-                whisker,
-                columns=opt.pairs("--column", column, "moment_rate=slope"),
-                units=opt.pairs("--unit", unit, "moment_rate=uN m/s"),
-                counts=counts,
-                hinge=not clamped,
-                seed=seed,
-            )
+        found = ww.calibrate(
+            taps, whisker, columns=opt.pairs("--column", column, "moment_rate=slope"),
+            units=opt.pairs("--unit", unit, "moment_rate=uN m/s"), counts=counts,
+            hinge=not clamped, seed=seed,
+        )  # fmt: skip
         parameters = found.parameters.reset_index(names="parameter")
         run.table("parameters", parameters)
         run.table("residuals", found.residuals)

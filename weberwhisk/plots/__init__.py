@@ -17,7 +17,6 @@ from .contacts import (
 from .designs import (
     information_map,
     placements,
-    plan_page,
     planned_jnds,
     planned_power,
     planned_psychometrics,
@@ -54,7 +53,6 @@ __all__ = [
     "pairs",
     "place",
     "placements",
-    "plan_page",
     "planned_jnds",
     "planned_power",
     "planned_psychometrics",

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from .._util.checks import one_of, shown
 from .._util.values import Array, pd
-from ..sensitivity import JNDCurve
 from .style import (
     COLOURS,
     DOUBLE,
@@ -36,6 +35,7 @@ from .style import (
 if TYPE_CHECKING:
     from ..inference import Posterior
     from ..mechanics import Bending
+    from ..sensitivity import JNDCurve
 
 
 @styled
@@ -244,7 +244,7 @@ def jnd_lines(
     given = tables if isinstance(tables, Mapping) else {"": tables}
     named: dict[str, pd.DataFrame] = {}
     for label, one in given.items():
-        parts = one.lines() if isinstance(one, JNDCurve) else _by_angle(one)
+        parts = _by_angle(one) if isinstance(one, pd.DataFrame) else one.lines()
         named |= {", ".join(filter(None, (label, angle))): t for angle, t in parts.items()}
     x_unit = 1.0 if length is None else 1e3 * length
     y_unit = 1.0 if length is None else 1e3 * length * (weber_fraction or 1.0)
