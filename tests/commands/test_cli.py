@@ -733,7 +733,7 @@ C2 = ["--identity", "C2"]
         (["simulate", *C2, "--receptors", "floor=x"], "--receptors must be a number, got 'x'"),
         (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
         (["simulate", "--effect", "history"], "the value of an effect must be a number"),
-        (["simulate", "--weber-fraction", "-1"], "weber_fraction must be above zero"),
+        (["simulate", "--weber-fraction", "-1"], "--weber-fraction must be above zero"),
         (["simulate", "--weber-fraction", "x"], "'x' is not a number"),
         (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),
         (["simulate", "--standard", "nan"], "--standard must be finite"),

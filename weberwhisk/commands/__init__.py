@@ -149,11 +149,8 @@ _REMEDIES = (
     (r"together=False", "--apart"),
     (r"log_unit= ", "--log-unit "),
 )  # fmt: skip
-#: Parameters of the library that are options of the same name.
-_NAMES = (
-    "animals bias face find frame_rate log_unit method noise order pixels_per_mm runs scale "
-    "seed sessions shortest_px task touch trials"
-)
+#: Parameters of the library that notes and reports name, and options of the same name.
+_NAMES = ("bias", "face", "frame_rate", "log_unit", "pixels_per_mm", "scale", "shortest_px")
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
@@ -188,9 +185,9 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         except ValueError as error:
             if not raised_by_weberwhisk(error):
                 raise
-            names = "|".join([*kinds, *_CALLED])
-            words = re.sub(rf"^({names})\b(?!=)", lambda m: option(m[1]), str(error))
-            raise ValueError(with_options(words)) from error
+            names = (*kinds, *_CALLED)
+            words = re.sub(rf"^({'|'.join(names)})\b(?!=)", _as_option, str(error))
+            raise ValueError(with_options(words, names)) from error
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -387,17 +384,18 @@ def show(
     finish(run, as_json, answer, whisker_line(whisker), words, *notes)
 
 
-def with_options(sentence: str) -> str:
-    """A sentence of the library, its remedies as they are typed here."""
-    for python, option_ in _REMEDIES:
-        sentence = re.sub(python, option_, sentence)
-    names = _NAMES.replace(" ", "|")
-    sentence = re.sub(rf"""\b({names})=["']([\w.-]+)["']""", _as_option, sentence)
-    return re.sub(rf"""\b({names})=([\w."'])""", _as_option, sentence)
+def with_options(sentence: str, names: Iterable[str] = _NAMES) -> str:
+    """A sentence of the library, its parameters and remedies as they are typed here."""
+    for python, typed in _REMEDIES:
+        sentence = re.sub(python, typed, sentence)
+    named = rf"""\b({"|".join(names)})=("[^"]*"|'[^']*'|[\w.-]+)"""
+    return re.sub(named, _as_option, sentence)
 
 
 def _as_option(found: re.Match[str]) -> str:
-    return f"{option(found[1])} {found[2]}"
+    """A parameter as its option, with its value where there is one; one word needs no quotes."""
+    name, *values = found.groups()
+    return " ".join([option(name), *(v if " " in v else v.strip("\"'") for v in values)])
 
 
 def whisker_line(whisker: ww.Whisker) -> str:
