@@ -13,8 +13,9 @@ from weberwhisk.behaviour import (
     response_probability,
     task_named,
 )
+from weberwhisk.behaviour.encodings import Encoding
 from weberwhisk.design import Goal, Hypothesis, Plan, Scheme
-from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.design.plan_file import _reader, plain
 from weberwhisk.design.words import preregistration
 from weberwhisk.sensitivity import weber_propagation
 
@@ -177,4 +178,4 @@ def test_plans_keep_curved_pooled_and_placed_observers_in_their_files(looks) -> 
         PlaceEncoding(array, (16e-3, 5e-3)),
         *(CueEncoding(other, 0.2) for other in others),
     ):
-        assert encode(decode(encode(encoding))) == encode(encoding)
+        assert plain(_reader().structure(plain(encoding), Encoding)) == plain(encoding)

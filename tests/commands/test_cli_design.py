@@ -135,7 +135,8 @@ def test_design_refuses_in_one_sentence_and_leaves_nothing(
         ("{", "is no whole plan"),
         ("[1]", "is not a plan"),
         ('{"format": "weberwhisk plan", "version": 3}', "has version 3 of the plan's format"),
-        ('{"format": "weberwhisk plan", "version": 1}', "lacks"),
+        ('{"format": "weberwhisk plan", "version": 1}', "reads version 2"),
+        ('{"format": "weberwhisk plan", "version": 2}', "None is no Plan"),
     ],
 )
 def test_rehearse_refuses_what_is_no_plan(

@@ -3,6 +3,8 @@ and against what a search with Monte Carlo error may claim."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -29,7 +31,8 @@ from weberwhisk.design import (
     with_priors,
 )
 from weberwhisk.design.experiments import compare, fit, simulate
-from weberwhisk.design.power_analysis import sized, smallest
+from weberwhisk.design.power_analysis import smallest
+from weberwhisk.design.scheme import sized
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -233,9 +236,12 @@ def test_intervals_cover_what_the_prior_draws():
     (hypothesis,) = with_priors(
         [TAPERED], lapse_low=beta(2, 38), lapse_high=beta(2, 38), lapse_correlation=0.0,
     )  # fmt: skip
-    counts, k = simulate(
-        hypothesis, scheme, believed, 600, np.random.default_rng(4), assurance=True
-    )
+    rng = np.random.default_rng(4)
+    drawn = [
+        simulate(hypothesis, scheme, replace(believed, weber_fraction=float(k)), 1, rng)
+        for k in hypothesis.priors.value("weber_fraction", rng.standard_normal(600))
+    ]
+    counts, k = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
     low, middle, high = fit(hypothesis, scheme, counts).quantiles.T
     assert abs(np.mean((low < k) & (k < high)) - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 600)
     assert abs(np.mean(middle < k) - 0.5) < 4 * np.sqrt(0.25 / 600)
@@ -279,38 +285,24 @@ def test_intervals_cover_populations_that_the_priors_draw(animals, runs):
     assert abs(covered(TAPERED, scheme, counts, k) - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(k))
 
 
-# -- power, assurance, and the smallest design ---------------------------------------------------
+# -- power, and the smallest design ---------------------------------------------------
 
 
 def test_power_grows_with_trials_and_falls_with_lapses():
     scheme = design((0.3, 0.9), 10)
-    found = ww.power(
-        scheme, (TAPERED, CYLINDRICAL), trials=[5, 20], lapses=[0.0, 0.15], truths=["tapered"],
-        runs=128, seed=3,
-    ).table.set_index(["trials", "lapse"])  # fmt: skip
+    options = {"trials": [5, 20], "truths": ["tapered"], "runs": 128, "seed": 3}
+    tables = {
+        lapse: ww.power(
+            scheme, (TAPERED, CYLINDRICAL), expected=SubjectPopulation(lapse=lapse), **options
+        ).table.set_index("trials")
+        for lapse in (0.0, 0.15)
+    }
+    found = pd.concat(tables).swaplevel().sort_index()
     assert found["power"][20, 0.0] > found["power"][5, 0.0] + 0.1
     assert found["power"][20, 0.0] > found["power"][20, 0.15] + 0.05
     assert found["half_width"][20, 0.0] < found["half_width"][5, 0.0]
     inside = (found["lower"] <= found["power"]) & (found["power"] <= found["upper"])
     assert inside.all()
-
-
-def test_assurance_is_the_mean_of_power_over_the_prior():
-    """Drawing k from a prior of two values is half the power at each."""
-    scheme = design((0.3, 0.9), 12)
-    (narrow,) = with_priors([TAPERED], weber_fraction=lognorm(0.8, scale=0.1))
-    hypotheses = narrow, with_priors([CYLINDRICAL], weber_fraction=lognorm(0.8, scale=0.1))[0]
-    whole = ww.power(
-        scheme, hypotheses, truths=["tapered"], runs=256, expected=ALIKE, assurance=True
-    ).table["power"][0]
-    at = [
-        ww.power(
-            scheme, hypotheses, truths=["tapered"], runs=32, seed=i,
-            expected=SubjectPopulation(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
-        ).table["power"][0]
-        for i, k in enumerate(lognorm(0.8, scale=0.1).ppf((np.arange(7) + 0.5) / 7))
-    ]  # fmt: skip
-    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 256 + 0.25 / 224)
 
 
 def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():

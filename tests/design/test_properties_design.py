@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from hypothesis import assume, given, settings
@@ -47,7 +49,7 @@ def test_a_scheme_counts_what_it_holds(scheme: Scheme) -> None:
     assert table["trials"].sum() == scheme.n_trials
     assert scheme.total_trials == scheme.n_trials * scheme.animals
     assert list(scheme.standards) == sorted(scheme.standards)
-    again = Scheme(**scheme.as_dict())
+    again = replace(scheme)
     assert again == scheme
     more = scheme.with_animals(5).with_trials(3)
     assert more.total_trials == 15 * len(table)

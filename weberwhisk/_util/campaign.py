@@ -19,7 +19,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from operator import attrgetter
 from typing import Any
@@ -71,6 +71,8 @@ def run(
     work : callable
         ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
         always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
+        A `functools.partial` of one hands every chunk the same objects, pickled; with `out` the
+        chunks must say which, as only they are compared with the file's.
     chunks : iterable of dict
         What may be written as JSON. Handing one out takes a millisecond, or ten on a cluster.
     seed : int or SeedSequence
@@ -190,11 +192,12 @@ class Job:
     @classmethod
     def of(cls, work: Work, chunks: Iterable[Chunk], seed: int | np.random.SeedSequence) -> Job:
         """The job as requested, or a refusal."""
-        module, name = getattr(work, "__module__", None), getattr(work, "__qualname__", None)
+        own = _function(work)
+        module, name = getattr(own, "__module__", None), getattr(own, "__qualname__", None)
         found: Any = None
         with suppress(AttributeError):
             found = attrgetter(name)(import_module(module)) if module and name else None
-        if found is None or found is not work:
+        if found is None or found is not own:
             raise ValueError(
                 f"work must be a function at the top level of a module, got {work!r}; move it "
                 "there, and what it needs to know into the chunks."
@@ -217,8 +220,9 @@ class Job:
     @property
     def question(self) -> dict[str, Any]:
         """What its file says was asked."""
+        own = _function(self.work)
         return {
-            "work": f"{self.work.__module__}:{self.work.__qualname__}",
+            "work": f"{own.__module__}:{own.__qualname__}",
             "seed": {"entropy": self.entropy, "spawn_key": list(self.spawn_key)},
             "chunks": list(self.chunks), "versions": versions(),
         }  # fmt: skip
@@ -227,6 +231,11 @@ class Job:
         """What `_line` takes."""
         seed = np.random.SeedSequence(self.entropy, spawn_key=(*self.spawn_key, number))
         return self.work, number, self.chunks[number], seed, versions()
+
+
+def _function(work: Any) -> Any:
+    """The function of a partial."""
+    return work.func if isinstance(work, partial) else work
 
 
 def _plain(number: int, chunk: Chunk) -> Chunk:

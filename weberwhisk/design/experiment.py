@@ -7,10 +7,10 @@ expects of them, answer the very lists that the real ones will see, and their an
 
 from __future__ import annotations
 
-import json
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,9 +30,9 @@ from ..whisker import Whisker
 from .best import best_scheme
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
 from .plan import Plan
-from .plan_file import plan_json, plan_of
-from .power_analysis import power, sized, smallest, wilson
-from .scheme import Constraints, Scheme
+from .plan_file import plan_json
+from .power_analysis import power, smallest, wilson
+from .scheme import Constraints, Scheme, sized
 
 #: Comparisons of every standard, in sds: the widest are easy.
 WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
@@ -367,7 +367,7 @@ def simulate_study(
     Raises
     ------
     ValueError
-        For no runs, and a plan that cannot be written as JSON.
+        For no runs; with `out`, for a plan that cannot be written as JSON.
 
     Examples
     --------
@@ -380,22 +380,22 @@ def simulate_study(
     ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
     checks.whole("runs", runs, "write 100")
-    text = json.dumps(json.loads(plan_json(plan)))
+    # A file of runs must say of which plan they are.
+    of = "" if out is None else hashlib.sha256(plan_json(plan).encode()).hexdigest()
     chunks = [
-        {"plan": text, "truth": hypothesis.name, "run": run}
+        {"plan": of, "truth": hypothesis.name, "run": run}
         for run in range(1, int(runs) + 1)
         for hypothesis in plan.hypotheses
     ]
     table = campaign.run(
-        one_experiment, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out,
-        title="Simulated study", progress=progress,
+        partial(one_experiment, plan=plan), chunks, seed=seed, workers=workers,
+        scheduler=scheduler, out=out, title="Simulated study", progress=progress,
     )  # fmt: skip
     return SimulatedStudy(plan, table)
 
 
-def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
+def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Plan) -> pd.DataFrame:
     """One experiment, from animals to conclusion: a row of `SimulatedStudy.table`."""
-    plan = _plan(chunk["plan"])
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
@@ -429,8 +429,3 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.Da
         "reached": reached,
     }
     return pd.DataFrame([row])
-
-
-@lru_cache(maxsize=4)
-def _plan(text: str) -> Plan:
-    return plan_of(text)

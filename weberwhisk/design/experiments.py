@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
 from .._util.threads import one_blas_thread
@@ -26,9 +25,10 @@ from ..behaviour.hierarchy import log_product, normal_weights
 from ..behaviour.integrate.batch import log_sum, marginal
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import SPREAD, Priors
-from .hypotheses import Hypothesis, SubjectPopulation
-from .plan_file import decode
-from .scheme import Scheme
+from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from .scheme import Scheme, sized
+
+__all__ = ["Fitted", "compare", "experiments", "fit", "simulate"]
 
 
 @dataclass(frozen=True)
@@ -58,20 +58,16 @@ def simulate(
     runs: int,
     rng: np.random.Generator,
     *,
-    assurance: bool = False,
     together: bool = True,
 ) -> tuple[Array, Array]:
     """Answers (runs, animals, C) of so many experiments, and the true Weber fractions (runs,): of
     the animal, or of the population with several; (runs, animals) where these are fitted apart.
 
-    Every experiment draws its own animals. With `assurance` the Weber fraction (with several
-    animals their median) is drawn from the hypothesis's prior, for every experiment anew.
+    Every experiment draws its own animals.
     """
     model = hypothesis.model(scheme)
     shape = runs, scheme.animals
     middle = np.full(runs, animals.weber_fraction)
-    if assurance:
-        middle = hypothesis.priors.value("weber_fraction", ndtri(rng.random(runs)))
     k = middle[:, None] * np.exp(animals.spread * rng.standard_normal(shape))
     if animals.lapses_vary and animals.lapse > 0:
         ends = 2.0, 2.0 / animals.lapse - 2.0
@@ -135,41 +131,39 @@ def compare(
     return fits[truth].log_evidence - best, fits[truth]
 
 
-def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
-    """The work of a power analysis: so many experiments of one design, a row each.
+def experiments(
+    chunk: dict[str, Any],
+    seed: np.random.SeedSequence,
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    animals: SubjectPopulation,
+    apart: Goal | None,
+) -> pd.DataFrame:
+    """The work of a power analysis: so many experiments of one size and truth, a row each.
 
-    Columns: the true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and
-    `covers`, with what the chunk, as `power` writes it, says of the design. Where several animals
-    are fitted apart these are medians over them, and `covers` a share, as in `SimulatedStudy`.
+    Columns: what the chunk says of them, the true `weber_fraction` and its `estimate`,
+    `log_bayes_factor`, `half_width` and `covers`. Where animals are fitted apart, for a goal, these
+    are medians over them, and `covers` and `reached` shares.
     """
-    hypotheses = decode(chunk["hypotheses"])
-    scheme, animals = decode(chunk["scheme"]), decode(chunk["animals"])
     truth = next(h for h in hypotheses if h.name == chunk["truth"])
-    counts, k = simulate(
-        truth, scheme, animals, chunk["runs"], np.random.default_rng(seed),
-        assurance=chunk["assurance"], together=(together := chunk.get("together", True)),
-    )  # fmt: skip
+    scheme = sized(sized(scheme, "trials", chunk["trials"]), "animals", chunk["animals"])
+    rng, together = np.random.default_rng(seed), apart is None
+    counts, k = simulate(truth, scheme, animals, chunk["runs"], rng, together=together)
     log_factor, fitted = compare(hypotheses, truth.name, scheme, counts, together)
     low, middle, high = np.moveaxis(fitted.quantiles, -1, 0)
     width, covers = fitted.half_width, (low <= k) & (k <= high)
     narrow = {}
     if width.ndim == 2:
-        if chunk["half_width"] is not None:
-            narrow = {"reached": (width < chunk["half_width"]).mean(axis=1)}
+        if apart is not None and apart.half_width is not None:
+            narrow = {"reached": (width < apart.half_width).mean(axis=1)}
         k, middle, width = (np.median(of, axis=1) for of in (k, middle, width))
         covers = covers.mean(axis=1)
-    return pd.DataFrame(
-        {
-            **chunk["label"],
-            "truth": truth.name,
-            "weber_fraction": k,
-            "estimate": middle,
-            "log_bayes_factor": log_factor,
-            "half_width": width,
-            "covers": covers,
-            **narrow,
-        }
-    )
+    found = {
+        "weber_fraction": k, "estimate": middle, "log_bayes_factor": log_factor,
+        "half_width": width, "covers": covers,
+    }  # fmt: skip
+    about = {name: chunk[name] for name in ("trials", "animals", "truth")}
+    return pd.DataFrame({**about, **found, **narrow})
 
 
 def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array, Array]:

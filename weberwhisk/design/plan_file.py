@@ -4,236 +4,62 @@ from __future__ import annotations
 
 import json
 import os
-import re
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from functools import cache
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy import stats
-from scipy.stats.distributions import rv_frozen
 
-from .. import __version__
+from .. import __version__, cues, receptors
 from .._util import checks
+from .._util.values import Array
 from ..array import ArrayObserver, WhiskerArray
-from ..behaviour.encodings import (
-    ConstantNoise,
-    CueEncoding,
-    IdentityEncoding,
-    LogAxisEncoding,
-    LogEncoding,
-    PlaceEncoding,
-    PooledEncoding,
-)
+from ..behaviour import encodings
 from ..behaviour.priors import Priors
-from ..cues import (
-    Compliance,
-    ForceMap,
-    Friction,
-    Fused,
-    SpaceMap,
-    UnknownCurvature,
-    UnknownHinge,
-    UnknownRoll,
-    UnknownStiffness,
-)
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
-from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
 from .scheme import Constraints, Scheme
 
-# What each is made of: the names of its arguments, and after a colon what they may be where that is
-# not one finite number.
-NOUNS: dict[type, str] = {
-    Whisker: "length base_radius tip_radius youngs_modulus curvature density "
-    "hinge_stiffness:number|null identity:list|null",
-    Compliance: "tap_angle angular_velocity velocity_spread",
-    ForceMap: "signal_names:texts deflection_angle:number|null",
-    Fused: "cues:list",
-    Friction: "cue:cue angle:number|null coefficient",
-    SpaceMap: "signal_names:texts roll",
-    UnknownCurvature: "cue:cue spread",
-    UnknownHinge: "cue:cue spread",
-    UnknownRoll: "cue:cue spread",
-    UnknownStiffness: "cue:cue spread soft_signals:texts",
-    WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
-    Weber: "weber_fraction:numbers correlation:numbers",
-    GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
-    Joint: "noises:list sizes:numbers",
-    Observer: "whisker:Whisker cue:cue noise:Weber|GeneralisedWeber|Joint model:text|null",
-    ArrayObserver: "array:WhiskerArray cue:Compliance|ForceMap|Friction|null "
-    "noise:Weber|GeneralisedWeber|null angle_sd missed",
-    CueEncoding: "observer:Observer deflection_angle:number|null unit",
-    PooledEncoding: "looks:list offsets:numbers",
-    PlaceEncoding: "observer:ArrayObserver start:numbers direction_deg length unit weber_fraction "
-    "sideways_known:flag",
-    IdentityEncoding: "",
-    LogEncoding: "log_unit",
-    LogAxisEncoding: "log_unit",
-    ConstantNoise: "base:encoding typical",
-    Priors: "weber_fraction:prior lapse_low:prior lapse_high:prior bias:prior lapse_correlation",
-    Hypothesis: "name:text encoding:encoding priors:Priors bias:text noise:text task:text",
-    Scheme: "standards:numbers offsets:numbers trials:numbers animals",
-    Constraints: "nearest farthest:limits step easy_share easy_proportion",
-    Goal: "bayes_factor:number|null half_width:number|null share",
-    SubjectPopulation: "weber_fraction spread lapse bias_spread lapses_vary:flag",
-}
-#: Parts of a noun that are one of several nouns, or a number or distribution.
-KINDS = {
-    "cue": "Compliance|ForceMap|Friction|Fused|SpaceMap|UnknownCurvature|UnknownHinge|UnknownRoll|"
-    "UnknownStiffness",
-    "encoding": "CueEncoding|PooledEncoding|PlaceEncoding|IdentityEncoding|LogEncoding|"
-    "LogAxisEncoding|ConstantNoise",
-    "prior": "number|distribution",
-}
-KIND = "is"  # the key that says which noun a mapping is
+if TYPE_CHECKING:
+    from cattrs import Converter
 
+__all__ = ["plan_json", "plan_of", "read_plan"]
 
-def encode(value: Any) -> Any:
-    """A noun, and whatever it is made of, in what JSON has.
-
-    A cue or a receptor of one's own has no such form, and is refused.
-    """
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if value is None or isinstance(value, bool | int | str):
-        return None if isinstance(value, Chosen) else value  # a model is chosen again
-    if isinstance(value, float):
-        return value if np.isfinite(value) else str(value)
-    if isinstance(value, list | tuple):
-        return [encode(item) for item in value]
-    if isinstance(value, dict):
-        return {str(key): encode(item) for key, item in value.items()}
-    if hasattr(value, "dist") and hasattr(value, "kwds"):
-        return {KIND: value.dist.name, "args": encode(value.args), "kwds": encode(value.kwds)}
-    if type(value) not in NOUNS:
-        known = ", ".join(noun.__name__ for noun in NOUNS)
-        raise ValueError(f"{value!r} cannot be written to a plan; make it of {known}.")
-    parts = {name: encode(getattr(value, name)) for name in _parts(type(value))}
-    made = {KIND: type(value).__name__, **parts}
-    if isinstance(value, Observer) and decode(made) != value:
-        raise ValueError(
-            f"{value!r} has a prior or a tolerance of its own, which a plan does not keep; leave "
-            "it out."
-        )
-    return made
-
-
-def decode(value: Any) -> Any:
-    """What `encode` has written.
-
-    Refused are an unknown noun, parts that are missing, too many or of the wrong kind, and values
-    that the noun refuses.
-    """
-    if isinstance(value, list):
-        return [decode(item) for item in value]
-    if not isinstance(value, dict):
-        return value
-    parts = {name: decode(v) for name, v in value.items() if name != KIND}
-    if KIND not in value:
-        return parts
-    name = value[KIND]
-    noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
-    if noun is None:
-        return _frozen(value[KIND], parts)
-    try:
-        own = checked(noun.__name__, parts, _parts(noun))
-        if noun is Fused:
-            return Fused(*own["cues"])
-        whose = own.pop("identity") if noun is Whisker else None
-        made = noun(**own)
-        if whose is not None:
-            made._named(*whose[:2])
-        return made
-    except (TypeError, OverflowError) as error:
-        raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
-
-
-def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any, Any]:
-    """Parts of the kinds that they must be, infinite numbers no longer text; none less or more."""
-    for strange in parts.keys() ^ kinds.keys():
-        words = "lacks" if strange in kinds else "has nothing called"
-        raise ValueError(f"{what} {words} {strange!r}")
-    for name, kind in kinds.items():
-        if not any(_is(parts[name], one) for one in KINDS.get(kind, kind).split("|")):
-            wanted = kind.replace("|", " or ")
-            raise ValueError(f"{name} of {what} must be {wanted}, got {checks.shown(parts[name])}")
-    return {
-        name: _floats(parts[name]) if kind.startswith("limit") else parts[name]
-        for name, kind in kinds.items()
-    }
-
-
-def _floats(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_floats(item) for item in value]
-    return float(value) if isinstance(value, str) else value
-
-
-def _is(value: Any, kind: str, most: float = 1e30) -> bool:
-    """Whether a value is of a kind; no number of a plan is beyond `most`."""
-    match kind:
-        case "null":
-            return value is None
-        case "flag":
-            return isinstance(value, bool)
-        case "text":
-            return isinstance(value, str)
-        case "number" | "limit":
-            if isinstance(value, str | bool):
-                return kind == "limit" and value in ("inf", "-inf", "nan")
-            return isinstance(value, int | float) and abs(value) < most
-        case "texts" | "numbers" | "limits":
-            many = isinstance(value, list)
-            return all(_is(item, kind) for item in value) if many else _is(value, kind[:-1])
-        case "distribution":
-            return isinstance(value, rv_frozen)
-        case _:
-            return type(value).__name__ == kind
-
-
-def _frozen(name: Any, parts: dict[str, Any]) -> Any:
-    """A SciPy distribution that has quantiles."""
-    distribution = getattr(stats, name, None) if isinstance(name, str) else None
-    if not isinstance(distribution, stats.rv_continuous):
-        raise ValueError(f"{name!r} is nothing that this version knows.")
-    checked(name, parts, {"args": "list", "kwds": "dict"})
-    args, kwds = parts["args"], parts["kwds"]
-    named = dict(enumerate(args)) | kwds
-    checked(name, named, dict.fromkeys(named, "number"))
-    try:
-        made = distribution(*map(float, args), **{key: float(v) for key, v in kwds.items()})
-        with np.errstate(all="ignore"):
-            found = made.ppf([0.02, 0.5, 0.98])
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
-    if not (np.isfinite(found).all() and np.all(np.diff(found) > 0)):
-        raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
-    return made
-
-
-def _parts(noun: type) -> dict[str, str]:
-    """Arguments of a noun, which its attributes are called by too, and their kinds."""
-    found = re.findall(r"(\w+)(?::(\S+))?", NOUNS[noun])
-    return {name: kind or "number" for name, kind in found}
-
-
-FORMAT, VERSION = "weberwhisk plan", 1
-#: What a file has, what the plan in it is made of, and what its table of power needs.
-FILE = {
-    "format": "text", "version": "number", "made_with": "dict", "trials_sha256": "text",
-    "plan": "dict", "power": "dict|null",
+#: What may stand where a field is annotated with a protocol.
+CHOICES: dict[type, tuple[type, ...]] = {
+    cues.Cue: (
+        cues.Compliance, cues.ForceMap, cues.Friction, cues.Fused, cues.SpaceMap,
+        cues.UnknownCurvature, cues.UnknownHinge, cues.UnknownRoll, cues.UnknownStiffness,
+    ),
+    encodings.Encoding: (
+        encodings.CueEncoding, encodings.PooledEncoding, encodings.PlaceEncoding,
+        encodings.IdentityEncoding, encodings.LogEncoding, encodings.LogAxisEncoding,
+        encodings.ConstantNoise,
+    ),
+    receptors.ReceptorNoise: (receptors.Weber, receptors.GeneralisedWeber, receptors.Joint),
 }  # fmt: skip
-PARTS = {
-    "scheme": "Scheme", "hypotheses": "list", "goal": "Goal", "animals": "SubjectPopulation",
-    "constraints": "Constraints", "trials_per_session": "number", "longest_run": "number",
-    "together": "flag", "seed": "number", "title": "text",
-}  # fmt: skip
-COLUMNS = "truth", "trials", "animals", "power", "lower", "upper"
+CLASSES: dict[str, type] = {
+    kind.__name__: kind
+    for kind in chain(
+        (Whisker, WhiskerArray, Observer, ArrayObserver, Priors, Hypothesis, Scheme, Constraints),
+        (Goal, SubjectPopulation, Plan),
+        *CHOICES.values(),
+    )
+}
+#: Fields that are not kept: an observer's prior and tolerance, which must be the default ones, and
+#: what is written elsewhere or worked out again.
+SKIPPED = {"prior", "tolerance", "_filled", "power"}
+FORMAT, VERSION = "weberwhisk plan", 2
 AGAIN = "write the plan again with `weberwhisk design`"
 
 
@@ -243,20 +69,147 @@ def plan_json(plan: Plan) -> str:
     Raises
     ------
     ValueError
-        For a plan whose hypotheses have no such form: a cue of one's own, say.
+        For a plan that is made of something else than this package has: a cue of one's own, say.
     """
     checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
-    own = {f.name: getattr(plan, f.name) for f in fields(plan)}
-    power = own.pop("power")
     record = {
         "format": FORMAT,
         "version": VERSION,
         "made_with": {"weberwhisk": __version__, "numpy": np.__version__},
         "trials_sha256": plan.fingerprint,
-        "plan": encode(own),
-        "power": None if power is None else encode(power.to_dict("list")),
+        "plan": plain(plan),
+        "power": None if plan.power is None else plain(plan.power.to_dict("list")),
     }
     return json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """In what JSON has: an object as a mapping of its fields, with its class under "is"."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return None if isinstance(value, Chosen) else value  # a model is chosen again
+    if isinstance(value, float):
+        return value if np.isfinite(value) else str(value)
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "dist") and hasattr(value, "kwds"):
+        return {"is": value.dist.name, "args": plain(value.args), "kwds": plain(value.kwds)}
+    kind = type(value)
+    if CLASSES.get(kind.__name__) is not kind:
+        raise ValueError(f"{value!r} cannot be written to a plan; make it of {', '.join(CLASSES)}.")
+    parts = {name: getattr(value, name) for name in _kept(kind)}
+    if kind is Observer and value != replace(value, prior={}, tolerance=0.1):
+        raise ValueError(
+            f"{value!r} has a prior or a tolerance of its own, which a plan does not keep; leave "
+            "it out."
+        )
+    return {"is": kind.__name__} | {name: plain(part) for name, part in parts.items()}
+
+
+def _kept(kind: type) -> list[str]:
+    """The fields that make an object again."""
+    return [f.name for f in fields(kind) if f.init and f.name not in SKIPPED]
+
+
+@cache
+def _reader() -> Converter:
+    """Makes objects of what `plain` wrote, every field of the kind that its class declares."""
+    from cattrs import Converter  # a browser, which only writes plans, lacks it
+
+    reader = Converter()
+
+    def exact(value: Any, kind: type) -> Any:
+        if type(value) is not kind:
+            raise ValueError(f"{checks.shown(value)} is no {kind.__name__}")
+        return value
+
+    def number(value: Any, _: type, most: float = 1e30) -> float:
+        if value in ("inf", "-inf"):
+            return float(value)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < most:
+            raise ValueError(f"{checks.shown(value)} is no number")
+        return value
+
+    def array(value: Any, _: type) -> Any:
+        if isinstance(value, list):
+            return np.array([array(item, float) for item in value])
+        return None if value is None else np.array(number(value, float))
+
+    def prior(value: Any, _: type) -> Any:
+        return _frozen(value) if isinstance(value, dict) else number(value, float)
+
+    def thing(value: Any, kind: type) -> Any:
+        if value is None and type(None) in get_args(kind):
+            return None
+        kind = next((one for one in get_args(kind) if one in CHOICES), kind)
+        made = CLASSES.get(str(value.get("is"))) if isinstance(value, dict) else None
+        if made is None or made not in CHOICES.get(kind, (kind,)):
+            raise ValueError(f"{checks.shown(value)} is no {kind.__name__}")
+        parts = {name: part for name, part in value.items() if name != "is"}
+        for strange in parts.keys() ^ set(_kept(made)):
+            words = "has nothing called" if strange in parts else "lacks"
+            raise ValueError(f"{made.__name__} {words} {strange!r}")
+        types = get_type_hints(made, localns=CLASSES)
+        found = {}
+        for name, part in parts.items():
+            try:
+                found[name] = reader.structure(part, types[name])
+            except Exception as error:
+                raise ValueError(f"{name} of {made.__name__}: {_in_words(error)}") from None
+        try:
+            return cues.Fused(*found["cues"]) if made is cues.Fused else made(**found)
+        except (TypeError, OverflowError) as error:
+            raise ValueError(f"{made.__name__} cannot be made of these ({error})") from None
+
+    def identity(value: Any, kind: type) -> Any:
+        types = get_type_hints(kind).values()
+        parts = zip(value, types, strict=True)
+        return kind(*(reader.structure(part, own) for part, own in parts))
+
+    for kind in (int, str, bool):
+        reader.register_structure_hook(kind, exact)
+    reader.register_structure_hook(float, number)
+    reader.register_structure_hook_func(lambda kind: hasattr(kind, "_fields"), identity)
+    reader.register_structure_hook_func(lambda kind: kind is Any, prior)
+    reader.register_structure_hook_func(lambda kind: kind in (Array, ArrayLike | None), array)
+    reader.register_structure_hook_func(
+        lambda kind: kind in CHOICES or kind in CLASSES.values() or _optional(kind), thing
+    )
+    return reader
+
+
+def _optional(kind: Any) -> bool:
+    """Whether it is one of the protocols or something else."""
+    return isinstance(kind, UnionType) and any(one in CHOICES for one in get_args(kind))
+
+
+def _in_words(error: BaseException) -> str:
+    """The first thing that cattrs found wrong."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error)
+
+
+def _frozen(value: dict[str, Any]) -> Any:
+    """A SciPy distribution that has quantiles."""
+    name, args, kwds = value.get("is"), value.get("args"), value.get("kwds")
+    distribution = getattr(stats, name, None) if isinstance(name, str) else None
+    if not isinstance(distribution, stats.rv_continuous) or len(value) != 3:
+        raise ValueError(f"{checks.shown(value)} is nothing that this version knows")
+    numbers = _reader().structure(args, list[float])
+    named = _reader().structure(kwds, dict[str, float])
+    try:
+        made = distribution(*numbers, **named)
+        with np.errstate(all="ignore"):
+            found = made.ppf([0.02, 0.5, 0.98])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
+    if not (np.isfinite(found).all() and np.all(np.diff(found) > 0)):
+        raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
+    return made
 
 
 def read_plan(path: str | os.PathLike[str]) -> Plan:
@@ -311,11 +264,8 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
             f"({made_with})."
         )
     try:
-        checked("the file", record, FILE)
-        own = checked("a plan", decode(record["plan"]), PARTS)
-        if not own["hypotheses"] or {type(h) for h in own["hypotheses"]} != {Hypothesis}:
-            raise ValueError("hypotheses of a plan must be a list of Hypothesis")
-        plan = Plan(**own, power=_table(record["power"]))
+        plan: Plan = _reader().structure(record.get("plan"), Plan)
+        object.__setattr__(plan, "power", _table(record.get("power")))
         now = plan.fingerprint  # lays out the lists, which may be impossible
         for hypothesis in plan.hypotheses:
             with np.errstate(all="ignore"):
@@ -324,10 +274,10 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
                 raise ValueError(f"{hypothesis.name!r} gives no finite signals at these levels")
     except RecursionError:
         raise ValueError(f"{source} is damaged: its parts are nested too deep; {AGAIN}.") from None
-    except ValueError as error:
-        words = str(error).rstrip(".")
+    except (ValueError, TypeError, BaseExceptionGroup) as error:  # None for a list, say
+        words = _in_words(error).rstrip(".")
         raise ValueError(f"{source} does not hold a plan that can be run: {words}.") from None
-    fingerprint = record["trials_sha256"]
+    fingerprint = record.get("trials_sha256")
     if now != fingerprint:
         raise ValueError(
             f"{source} gives other trial lists than when it was made (SHA-256 "
@@ -338,13 +288,16 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
 
 
 def _table(columns: Any) -> pd.DataFrame | None:
+    """What is known of the power."""
     if columns is None:
         return None
-    checked("power", columns, dict.fromkeys([*COLUMNS, *columns], "list"))
-    if len({len(column) for column in columns.values()}) != 1:
+    needed = {"truth", "trials", "animals", "power", "lower", "upper"}
+    if not isinstance(columns, dict) or needed - columns.keys():
+        raise ValueError("power must have columns truth, trials, animals, power, lower and upper")
+    found: dict[str, list[Any]] = {
+        name: _reader().structure(values, list[str] if name == "truth" else list[float])
+        for name, values in columns.items()
+    }
+    if len({len(column) for column in found.values()}) != 1:
         raise ValueError("columns of power must be equally long")
-    found = {}
-    for name, values in columns.items():
-        cells, kind = dict(enumerate(values)), "text" if name == "truth" else "limit"
-        found[name] = list(checked(name, cells, dict.fromkeys(cells, kind)).values())
     return pd.DataFrame(found)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
@@ -17,10 +18,11 @@ from .._util import campaign, checks
 from .._util.values import Array, Shown, interval_text
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
-from .plan_file import encode
-from .scheme import Scheme
+from .scheme import Scheme, sized
 
-BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
+__all__ = ["Power", "Smallest", "power", "smallest", "wilson"]
+
+BY = ["truth", "trials", "animals"]  # what experiments are counted by
 MOST = {"trials": 1000, "animals": 200}
 
 
@@ -29,9 +31,9 @@ class Power(Shown):
     """What designs of several sizes reach.
 
     Columns of `table`, a row for each truth and size: `truth`; `trials` of the comparison shown
-    most, for each animal; `animals`; `lapse`; `runs`; `power`, the share of experiments that reach
-    the goal, with its Monte Carlo interval `lower` to `upper` (95 %, Wilson); the median, and 5 and
-    95 % quantiles, of `half_width` (of the 95 % interval of k, over its median) and of
+    most, for each animal; `animals`; `runs`; `power`, the share of experiments that reach the goal,
+    with its Monte Carlo interval `lower` to `upper` (95 %, Wilson); the median, and 5 and 95 %
+    quantiles, of `half_width` (of the 95 % interval of k, over its median) and of
     `log_bayes_factor` (natural log, for the truth against the best of the others); how well k is
     recovered: `bias`, the median of its estimate over the true one, less 1, and `coverage` of its
     interval. `runs` has one row an experiment.
@@ -41,11 +43,10 @@ class Power(Shown):
     goal: Goal
     table: pd.DataFrame
     runs: pd.DataFrame
-    assurance: bool = False
 
     def _line(self) -> str:
         last = self.table.sort_values(["animals", "trials"]).groupby("truth", sort=False).last()
-        return f"{'assurance' if self.assurance else 'power'} " + "; ".join(
+        return "power " + "; ".join(
             f"{interval_text(row['power'], row['lower'], row['upper'])} where {truth} is true, "
             f"{row['animals']:g} × {row['trials']:g} trials a comparison"
             for truth, row in last.iterrows()
@@ -53,12 +54,11 @@ class Power(Shown):
 
     def report(self) -> str:
         """The table in words, a line a row."""
-        what = "assurance" if self.assurance else "power"
         lines = [f"Goal: {self.goal}."]
         for _, row in self.table.iterrows():
             lines.append(
-                f"{row['truth']}, {row['animals']} × {row['trials']} trials a comparison, lapse "
-                f"{row['lapse']:g}: {what} {_share(row)}"
+                f"{row['truth']}, {row['animals']} × {row['trials']} trials a comparison: power "
+                f"{_share(row)}"
             )
             if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
                 lines.append(
@@ -105,13 +105,14 @@ def power(
     expected: SubjectPopulation | None = None,
     trials: Sequence[int] | None = None,
     animals: Sequence[int] | None = None,
-    lapses: Sequence[float] | None = None,
     truths: Sequence[str] | None = None,
     runs: int = 1000,
-    assurance: bool = False,
     together: bool = True,
     seed: int | np.random.SeedSequence = 1,
-    **sweep: Any,
+    workers: int = 1,
+    scheduler: str | None = None,
+    title: str = "power",
+    progress: Callable[[float], None] | None = None,
 ) -> Power:
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
@@ -133,21 +134,16 @@ def power(
     trials, animals : sequence of int, optional
         Sizes: trials of the comparison shown most, others in proportion; and numbers of animals.
         By default those of the scheme.
-    lapses : sequence of float, optional
-        Lapse rates, instead of the expected one.
     truths : sequence of str, optional
         Names of the hypotheses that are the truth in turn; all by default.
     runs : int
         Experiments of each size and truth.
-    assurance : bool
-        Draw k from the prior for every experiment: power averaged over what is believed, not power
-        at one value (O'Hagan, Stevens & Campbell 2005, Pharmaceut. Statist. 4:187).
     together : bool
         Fit several animals at once. Otherwise each by itself: evidence multiplies over animals, and
         a goal about intervals is reached by the share of animals whose own is narrow enough.
     seed : int or SeedSequence
-    **sweep
-        As for `campaign.run`: `workers`, `scheduler`, `out`, `title`, `progress`.
+    workers, scheduler, title, progress
+        As for `weberwhisk.campaign.run`.
 
     Returns
     -------
@@ -178,7 +174,6 @@ def power(
     for name, given_sizes, own in (
         ("trials", trials, max(map(max, scheme.trials))),
         ("animals", animals, scheme.animals),
-        ("lapses", lapses, likely.lapse),
     ):
         some = [own] if given_sizes is None else checks.several(name, given_sizes, "write [20]")
         sizes.append([checks.number(name, size, "write 20, say") for size in some])
@@ -190,18 +185,18 @@ def power(
     checks.whole("runs", runs, "write 1000")
     chunks = [
         chunk
-        for truth, n, number, lapse in product(named, *sizes)
-        for chunk in _chunks(
-            sized(sized(scheme, "trials", n), "animals", number), given,
-            replace(likely, lapse=lapse), truth, int(runs), assurance,
-        )
-    ]  # fmt: skip
-    if not together:
-        chunks = [c | {"together": False, "half_width": aim.half_width} for c in chunks]
+        for truth, n, number in product(named, *sizes)
+        for chunk in _chunks(sized(sized(scheme, "trials", n), "animals", number), truth, int(runs))
+    ]
     for h in given:  # refused here, in one sentence, not in a worker
         h.model(scheme)
-    table = campaign.run(experiments, chunks, seed=seed, **({"title": "power"} | sweep))
-    return Power(aim, summary(table, aim), table, assurance)
+    apart = None if together else aim
+    work = partial(experiments, scheme=scheme, hypotheses=given, animals=likely, apart=apart)
+    table = campaign.run(
+        work, chunks, seed=seed, workers=workers, scheduler=scheduler, title=title,
+        progress=progress,
+    )  # fmt: skip
+    return Power(aim, summary(table, aim), table)
 
 
 def smallest(
@@ -296,22 +291,9 @@ def _clear(found: Power, sure: float = 0.99) -> bool:
     return bool(low.min() > found.goal.share or high.min() < found.goal.share)
 
 
-def _chunks(
-    scheme: Scheme,
-    hypotheses: Sequence[Hypothesis],
-    animals: SubjectPopulation,
-    truth: str,
-    runs: int,
-    assurance: bool,
-) -> list[dict[str, Any]]:
+def _chunks(scheme: Scheme, truth: str, runs: int) -> list[dict[str, Any]]:
     """So many experiments at once that they take some seconds: the grid belongs to the seed."""
-    label = {
-        "trials": max(map(max, scheme.trials)), "animals": scheme.animals, "lapse": animals.lapse,
-    }  # fmt: skip
-    common = {
-        "scheme": encode(scheme), "hypotheses": encode(list(hypotheses)),
-        "animals": encode(animals), "truth": truth, "assurance": assurance, "label": label,
-    }  # fmt: skip
+    common = {"truth": truth, "trials": max(map(max, scheme.trials)), "animals": scheme.animals}
     size = 512 if scheme.animals == 1 else max(4, 128 // scheme.animals)
     return [common | {"runs": min(size, runs - i)} for i in range(0, runs, size)]
 
@@ -319,7 +301,7 @@ def _chunks(
 def _joined(found: list[Power]) -> Power:
     runs = pd.concat([p.runs for p in found], ignore_index=True)
     table = summary(runs, found[0].goal).sort_values(BY).reset_index(drop=True)
-    return Power(found[0].goal, table, runs, found[0].assurance)
+    return Power(found[0].goal, table, runs)
 
 
 def _crossing(path: Power, vary: str, share: float, low: int, high: int) -> tuple[float, float]:
@@ -384,16 +366,6 @@ def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
     reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
     low = 0.0 if share <= 0 else float(max(middle - reach, 0.0))  # not 1e-17
     return low, 1.0 if share >= 1 else float(min(middle + reach, 1.0))
-
-
-def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
-    """The scheme with so many animals, or trials of the comparison shown most."""
-    if vary == "animals":
-        return scheme.with_animals(size)
-    most = max(map(max, scheme.trials))
-    checks.whole("trials", size, "write 20")
-    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
-    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
 
 
 def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,15 +30,6 @@ from ..behaviour.trials import Cells
 MOST_TRIALS = 10_000_000
 #: Levels of a default design, in sds of the expected difference between the two signals.
 LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
-
-
-class SchemeFields(TypedDict):
-    """What `Scheme(**...)` takes, for a JSON file."""
-
-    standards: list[float]
-    offsets: list[list[float]]
-    trials: list[list[int]]
-    animals: int
 
 
 @dataclass(frozen=True, init=False)
@@ -211,14 +202,15 @@ class Scheme:
         """The same for so many animals."""
         return replace(self, animals=animals)
 
-    def as_dict(self) -> SchemeFields:
-        """What `Scheme(**...)` takes, for a JSON file."""
-        return {
-            "standards": list(self.standards),
-            "offsets": [list(row) for row in self.offsets],
-            "trials": [list(row) for row in self.trials],
-            "animals": self.animals,
-        }
+
+def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
+    """The scheme with so many animals, or trials of the comparison shown most."""
+    if vary == "animals":
+        return scheme.with_animals(size)
+    most = max(map(max, scheme.trials))
+    checks.whole("trials", size, "write 20")
+    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
+    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
 
 
 @dataclass(frozen=True)

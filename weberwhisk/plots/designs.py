@@ -95,7 +95,7 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax)
     table = power.table
     by = "animals" if table["trials"].nunique() == 1 < table["animals"].nunique() else "trials"
-    others = [name for name in ("truth", "lapse", "trials", "animals")
+    others = [name for name in ("truth", "trials", "animals")
               if name != by and (name == "truth" or table[name].nunique() > 1)]  # fmt: skip
     for i, (key, own) in enumerate(table.groupby(others, sort=False)):
         more = (f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True))
@@ -106,7 +106,7 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.minorticks_off()
     ax.set(xlabel="Animals" if by == "animals" else "Trials of each comparison", ylim=(0, 1))
-    ax.set_ylabel("Assurance" if power.assurance else "Power")
+    ax.set_ylabel("Power")
     return legend_above(ax)
 
 
