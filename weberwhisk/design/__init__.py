@@ -8,7 +8,7 @@ from .belief import information
 from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
-from .placement import BayesianPlacer, Placer, Proposal, Staircase, TrialLog, next_trial
+from .placement import BayesianPlacer, Proposal, Staircase, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
@@ -23,7 +23,6 @@ __all__ = [
     "Constraints",
     "Goal",
     "Hypothesis",
-    "Placer",
     "Plan",
     "Power",
     "Proposal",

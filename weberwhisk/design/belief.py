@@ -1,8 +1,8 @@
 """What is believed of one observer while trials come in, and what one more would tell.
 
-That is the mutual information, in bits, of its answer and what is asked: the Weber fraction, the
-JND at a distance, or which hypothesis is right (Lindley 1956, Ann. Math. Stat. 27:986), everything
-else integrated out: a lapse or a bias that must be learnt as well costs information.
+That is the mutual information, in bits, of its answer and the Weber fraction, or which hypothesis
+is right (Lindley 1956, Ann. Math. Stat. 27:986), everything else integrated out: a lapse or a bias
+that must be learnt as well costs information.
 
 A trial multiplies the grid by the probability of its answer. Where the axes have become too wide or
 too short for what is left, another grid is laid and the trials so far put in again, some of them
@@ -27,17 +27,19 @@ from .._util.threads import one_blas_thread
 from .._util.values import Array
 from ..behaviour.axes import bias_at, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
-from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY, lapse_transform
-from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
 from .scheme import Scheme, millimetres
 
+__all__ = ["Belief", "Pair", "entropy", "information"]
+
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
+EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
+LEAST_TRIALS = 8  # that the coordinates of the lapses are made for at first
 
 
 @dataclass(frozen=True)
@@ -49,31 +51,26 @@ class Axes:
     high: Array
     bias: tuple[Array, ...]
 
-
-def wide_ends(model: WeberModel, far: float) -> list[tuple[float, float]]:
-    """Ends of k, either lapse and every bias, so many scores of their priors away."""
-    lapses = [tuple(t.coordinate([-far, far]).tolist()) for t in model.transforms[-2:]]
-    return [(-far, far), *lapses, *[(-far, far)] * model.n_groups]
-
-
-def even_axes(
-    model: WeberModel, ends: Sequence[tuple[float, float]], sizes: tuple[int, int, int]
-) -> Axes:
-    """Even nodes of k, either lapse and every bias between these ends, one where it is known."""
-    counts = [sizes[0], sizes[1], sizes[1], *[sizes[2]] * model.n_groups]
-    free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
-    k, low, high, *biases = (
-        np.linspace(*end, count) if own else np.zeros(1)
-        for end, count, own in zip(ends, counts, free, strict=True)
-    )
-    return Axes(k, low, high, tuple(biases))
+    @classmethod
+    def whole(cls, model: WeberModel, sizes: tuple[int, int, int]) -> Axes:
+        """Even nodes of k, either lapse and every bias over all of their priors."""
+        far = -FAR, FAR
+        lapses = [tuple(t.coordinate(far).tolist()) for t in model.transforms[-2:]]
+        ends: list[Any] = [far, *lapses, *[far] * model.n_groups]
+        counts = [sizes[0], sizes[1], sizes[1], *[sizes[2]] * model.n_groups]
+        free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
+        k, low, high, *biases = (
+            np.linspace(end[0], end[1], count) if own else np.zeros(1)
+            for end, count, own in zip(ends, counts, free, strict=True)
+        )
+        return cls(k, low, high, tuple(biases))
 
 
 class BeliefGrid:
     """Likelihoods (K, B, L) of every group on its nodes; L are pairs of lapses.
 
-    Trials are first `put` in, as many as there are; `close` makes the logarithms a grid, which
-    learns from more by `multiply`.
+    Trials are first `put` in, any number at once; `close` makes the logarithms a grid, which learns
+    from more by `multiply`.
     """
 
     def __init__(self, model: WeberModel, axes: Axes) -> None:
@@ -96,40 +93,26 @@ class BeliefGrid:
         of_biases = zip(axes.bias, steps[3:], strict=True)
         self.prior_bias = [np.exp(score_prior(b)) * step for b, step in of_biases]
         shape = axes.k.size, axes.bias[0].size, self.low.size
-        self._logs = {g: np.zeros(shape, dtype=np.float32) for g in range(len(axes.bias))}
-        self.up: list[Array] = []
-        self.values: list[Array] = []
-        self.by_group: list[Array] = []
-        self.log: list[float] = []
-
-    def see_candidates(self) -> None:
-        """Tabulate the answers to all pairs that may be put, of the next group."""
-        g = len(self.up)
-        self.up.append(self._sides(self.model.encodings.of(self.model.group == g), g)[0])
+        self._logs = [np.zeros(shape, dtype=np.float32) for _ in axes.bias]
 
     def put(self, encodings: UnitEncodings, group: int, counts: Sequence[float]) -> None:
-        """Answers to a pair of stimuli, so many of each; in a grid that is open, any number."""
-        if group < len(self.values):
-            for answer, times in enumerate(counts):
-                for _ in range(int(times)):
-                    self.multiply(encodings, group, answer)
-            return
+        """Answers to a pair of stimuli, so many of each."""
         sides = self._sides(encodings, group)[::-1]
         for side, ends, times in zip(sides, self._least_ends, counts, strict=True):
             if times:
                 chance = _with_lapses(side.astype(np.float32), ends)
                 np.log(chance, out=chance)
-                if times != 1:
-                    chance *= times
-                self._logs[group] += chance
+                self._logs[group] += chance if times == 1 else chance * np.float32(times)
 
     def close(self) -> None:
-        """Exponentiate the next group."""
-        log = self._logs.pop(len(self.values))
-        self.log.append(float(log.max()))
-        log -= log.max()
-        self.values.append(np.exp(log, out=log).astype(float))
-        self.by_group.append(self._over_bias(len(self.values) - 1))
+        """From logarithms to likelihoods; and the answers to all pairs that may be put."""
+        of_group = [self.model.encodings.of(self.model.group == g) for g in range(len(self._logs))]
+        self.up = [self._sides(own, g)[0] for g, own in enumerate(of_group)]
+        self.log = [float(log.max()) for log in self._logs]
+        self.values = [
+            np.exp(log - top).astype(float) for log, top in zip(self._logs, self.log, strict=True)
+        ]
+        self.by_group = [self._over_bias(g) for g in range(len(self.values))]
 
     def multiply(self, encodings: UnitEncodings, group: int, answer: int) -> None:
         """Learn from one answer."""
@@ -160,22 +143,54 @@ def _with_lapses(side: Any, ends: Any) -> Any:
     return (factors.reshape(-1, 2) @ ends).reshape(*side.shape[:2], -1)
 
 
-EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
-LEAST_TRIALS = 8  # that the coordinates of the lapses are made for at first
-
-
 class Belief:
-    """The posterior of one hypothesis on a grid that has all answers so far.
+    """The posterior of one hypothesis, trial by trial.
 
-    `candidates` are the pairs of stimuli that may be put; what is put may differ.
+    `candidates` are the pairs of stimuli that may be put; what is put may differ. The grid has
+    `sizes` nodes of k, either lapse and every bias. `mass_k` are the masses of the Weber fractions
+    `k`.
     """
 
-    def __init__(self, hypothesis: Hypothesis, candidates: Cells, grid: BeliefGrid) -> None:
-        self.hypothesis, self._candidates, self._grid = hypothesis, candidates, grid
+    def __init__(
+        self, hypothesis: Hypothesis, candidates: Cells, sizes: tuple[int, int, int] = (21, 14, 21)
+    ) -> None:
+        self.hypothesis, self._candidates = hypothesis, candidates
+        model = _with_trials(hypothesis.model(candidates), LEAST_TRIALS)
+        self._seen: dict[Pair, list[float]] = {}
+        self._encoded: dict[Pair, UnitEncodings] = {
+            pair: model.encodings.of(np.array([i])) for i, pair in enumerate(_pairs(candidates))
+        }
+        self._standards = np.unique(candidates.standard)
+        for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
+            for doublings in range(3, 13 * free):  # their coordinates, made now and kept
+                lapse_transform(model.priors.of(name), 2.0**doublings)
+        self._building: Iterator[BeliefGrid | None] | None = None
+        self._lay(model, Axes.whole(model, sizes))
+
+    def _lay(self, model: WeberModel, axes: Axes) -> None:
+        """A grid with all trials so far, at once."""
+        for grid in self._laid(model, axes, max(len(self._seen), 1)):
+            assert grid is not None
+            self._grid = grid
         self._sum()
 
+    def _laid(self, model: WeberModel, axes: Axes, pairs: int = 4) -> Iterator[BeliefGrid | None]:
+        """A grid on these axes with all trials so far in it, after some rests, before each of which
+        the answers to so many pairs of stimuli are put in."""
+        grid, inside = BeliefGrid(model, axes), dict[Pair, list[float]]()
+        while left := [pair for pair, seen in self._seen.items() if inside.get(pair) != seen]:
+            for pair in left[:pairs]:
+                before, seen = inside.get(pair, [0, 0]), self._seen[pair]
+                new = [n - b for n, b in zip(seen, before, strict=True)]
+                grid.put(self.encode(pair), self._group(pair), new)
+                inside[pair] = list(seen)
+            if len(left) > pairs:
+                yield None
+        grid.close()
+        yield grid
+
     def _sum(self) -> None:
-        """Integrate everything; `mass_k` are the masses of the Weber fractions `k`."""
+        """Integrate everything."""
         self.axes, self.k = self._grid.axes, self._grid.k
         by_group = self._grid.by_group
         others = [
@@ -235,52 +250,6 @@ class Belief:
             out[grid.model.group == g] = entropy(p).mean(axis=0)
         return out
 
-
-class GrowingBelief(Belief):
-    """The same, trial by trial."""
-
-    def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
-        self.hypothesis = hypothesis
-        model = _with_trials(hypothesis.model(candidates), LEAST_TRIALS)
-        self._seen: dict[Pair, list[int]] = {}
-        pairs = zip(candidates.stimulus_1, candidates.stimulus_2, candidates.standard, strict=True)
-        self._encoded: dict[Pair, UnitEncodings] = {
-            (float(s1), float(s2), float(s)): model.encodings.of(np.array([i]))
-            for i, (s1, s2, s) in enumerate(pairs)
-        }
-        self._standards = np.unique(candidates.standard)
-        for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
-            for doublings in range(3, 13 * free):  # their coordinates, made now and kept
-                lapse_transform(model.priors.of(name), 2.0**doublings)
-        self._building: Iterator[BeliefGrid | None] | None = None
-        *_, grid = self._laid(model, even_axes(model, wide_ends(model, FAR), (21, 14, 21)))
-        assert grid is not None
-        super().__init__(hypothesis, candidates, grid)
-
-    def _laid(self, model: WeberModel, axes: Axes, pairs: int = 3) -> Iterator[BeliefGrid | None]:
-        """A grid on these axes with all trials so far in it, after some rests, in each of which the
-        answers to so many pairs of stimuli are put in."""
-        grid = BeliefGrid(model, axes)
-        for _ in axes.bias:
-            grid.see_candidates()
-            yield None
-        inside: dict[Pair, list[int]] = {}
-        closed = 0
-        while True:
-            left = [p for p, seen in self._seen.items() if inside.get(p) != seen]
-            for pair in left[:pairs]:
-                before, seen = inside.get(pair, [0, 0]), self._seen[pair]
-                new = [n - b for n, b in zip(seen, before, strict=True)]
-                grid.put(self.encode(pair), self._group(pair), new)
-                inside[pair] = list(seen)
-            if len(left) <= pairs // 2:
-                if closed == len(axes.bias):
-                    break
-                grid.close()
-                closed += 1
-            yield None
-        yield grid
-
     def _group(self, pair: Pair) -> int:
         if self.hypothesis.bias != "per standard":
             return 0
@@ -295,7 +264,7 @@ class GrowingBelief(Belief):
 
     def absorb(self, pair: Pair, answer: int) -> None:
         """Learn from one trial."""
-        self._seen.setdefault(pair, [0, 0])[answer] += 1
+        self._seen.setdefault(pair, [0.0, 0.0])[answer] += 1
         self._grid.multiply(self.encode(pair), self._group(pair), answer)
         if self._building is not None:
             grid = next(self._building)
@@ -304,6 +273,16 @@ class GrowingBelief(Belief):
         self._sum()
         if self._building is None and (axes := self._better_axes()) is not None:
             self._building = self._laid(*axes)
+
+    def learn(self, cells: Cells, most: int = 6) -> None:
+        """Learn from a table, whose counts need not be whole; so many grids may be laid for it."""
+        for pair, n, count in zip(_pairs(cells), cells.n, cells.count, strict=True):
+            self._seen[pair] = [float(n - count), float(count)]
+        self._lay(self._grid.model, self.axes)
+        for _ in range(most):
+            if (better := self._better_axes()) is None:
+                break
+            self._lay(*better)
 
     def _better_axes(self) -> tuple[WeberModel, Axes] | None:
         """Axes that fit what is left, and coordinates; None where those there do."""
@@ -329,6 +308,11 @@ class GrowingBelief(Belief):
             first, last = new.coordinate(was.score(axis[[0, -1]]))
             lapses.append(np.linspace(first, last, axis.size))
         return model, Axes(k, lapses[0], lapses[1], tuple(bias))
+
+
+def _pairs(cells: Cells) -> list[Pair]:
+    shown = cells.stimulus_1, cells.stimulus_2, cells.standard
+    return [(float(s1), float(s2), float(s)) for s1, s2, s in zip(*shown, strict=True)]
 
 
 def entropy(p: Array) -> Array:
@@ -370,7 +354,6 @@ def information(
     *,
     after: Scheme | None = None,
     expected: SubjectPopulation | None = None,
-    jnd_at: float | None = None,
 ) -> pd.DataFrame:
     """Expected information of one trial at every standard and offset.
 
@@ -389,14 +372,12 @@ def information(
         are the priors.
     expected : SubjectPopulation, optional
         The animal whose answers are expected before; its Weber fraction and lapses.
-    jnd_at : float, optional
-        Distance of the JND asked for, m; by default the middle standard.
 
     Returns
     -------
     DataFrame
         One row a standard and offset: `standard_mm`, `offset_mm`, `weber_fraction_bits`,
-        `jnd_bits`, `hypothesis_bits`.
+        `hypothesis_bits`.
 
     Notes
     -----
@@ -423,7 +404,6 @@ def information(
     rows = np.broadcast_to(rows, (at.size, rows.shape[1]))
     for h in given:
         refuse_out_of_reach(h.encoding, at, "standard")
-    place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
     likely = expected or SubjectPopulation()
     s1, s2 = np.repeat(at, rows.shape[1]), (at[:, None] + rows).ravel()
     encoded = np.ones(s2.size, dtype=bool)
@@ -431,7 +411,7 @@ def information(
         low, high = h.encoding.domain
         encoded &= (s2 > low) & (s2 < high)
         encoded &= gives_signal(h.encoding, np.where(encoded, s2, s1))
-    bits = np.full((3, s1.size), np.nan)
+    bits = np.full((2, s1.size), np.nan)
     if encoded.any():
         parts = []
         for truth in given if after is not None else given[:1]:
@@ -439,78 +419,33 @@ def information(
             if after is not None:  # the answers that an animal is expected to give
                 count = truth.expected_counts(after, likely.weber_fraction, likely.lapse)
                 before = replace(after.cells(), count=count)
-            beliefs = [believed(h, s1[encoded], s2[encoded], before) for h in given]
-            parts.append(_of_answers(beliefs, int(encoded.sum()), place))
+            beliefs = [_believed(h, s1[encoded], s2[encoded], before) for h in given]
+            parts.append(_of_answers(beliefs, int(encoded.sum())))
         bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
-    named = zip(("weber_fraction_bits", "jnd_bits", "hypothesis_bits"), bits, strict=True)
+    named = zip(("weber_fraction_bits", "hypothesis_bits"), bits, strict=True)
     mm = {"standard_mm": millimetres(s1), "offset_mm": millimetres(rows.ravel())}
     return pd.DataFrame({**mm, **dict(named)})
 
 
-def believed(
-    hypothesis: Hypothesis,
-    standards: Array,
-    comparisons: Array,
-    before: Cells | None,
-    nodes: tuple[int, int, int] = (41, 21, 25),
-    reach: float = 4.0,
+def _believed(
+    hypothesis: Hypothesis, standards: Array, comparisons: Array, before: Cells | None
 ) -> Belief:
-    """What is known of an observer after a table, with pairs that may be shown next at its end.
-
-    `nodes` are of k, either lapse and every bias, over `reach` sds of the prior or, after trials,
-    what the posterior leaves of it.
-    """
-    none = np.zeros(standards.size)
-    shown = standards, comparisons, standards, none, none
+    """What is known of an observer after a table, with pairs that may be shown next at its end."""
+    shown = standards, comparisons, standards
     if before is not None:
-        known = before.stimulus_1, before.stimulus_2, before.standard, before.n, before.count
+        known = before.stimulus_1, before.stimulus_2, before.standard
         shown = tuple(np.r_[a, b] for a, b in zip(known, shown, strict=True))
-    cells = Cells(*shown)
-    model = hypothesis.model(cells)
-    if before is None:
-        ends = wide_ends(model, reach)
-    else:
-        windows = zoomed(model, cells.count[None], batch_steps(model), 7.5)
-        low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
-        ends = [tuple(windows.ends[0, :, 0]), *zip(low, high, strict=True)]
-    grid = BeliefGrid(model, even_axes(model, ends, nodes))
-    for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
-        grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
-    for _ in grid.bias:
-        grid.see_candidates()
-        grid.close()
-    return Belief(hypothesis, cells, grid)
+    none = np.zeros(shown[0].size)
+    belief = Belief(hypothesis, Cells(*shown, none, none), (41, 21, 25))
+    if before is not None:
+        belief.learn(before)
+    return belief
 
 
-def _of_answers(beliefs: list[Belief], last: int, place: float) -> Array:
-    """The three informations of the last so many pairs, (3, J) nats."""
+def _of_answers(beliefs: list[Belief], last: int) -> Array:
+    """Both informations of the last so many pairs, (2, J) nats."""
     answers = [(b.mass_k, b.predicted()[0][:, -last:]) for b in beliefs]
     mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
     about_k = np.mean([entropy(mass @ p) - mass @ entropy(p) for mass, p in answers], axis=0)
     about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
-    log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.encoding, place))) for b in beliefs]
-    return np.maximum([about_k, _shared(log_jnd, answers), about_hypothesis], 0.0)
-
-
-def _shared(
-    log_jnd: list[Array], answers: list[tuple[Array, Array]], thresholds: int = 161
-) -> Array:
-    """Information about a quantity that every hypothesis has a belief of, (J,) nats, by so many
-    bins of its logarithm."""
-    if len(log_jnd) == 1 or log_jnd[0].size == 1:
-        mass, p = answers[0]
-        return np.asarray(entropy(mass @ p) - mass @ entropy(p))
-    low, high = min(a.min() for a in log_jnd), max(a.max() for a in log_jnd)
-    bins = np.linspace(low, high + 1e-9, thresholds)
-    total, up = np.zeros(bins.size), np.zeros((bins.size, answers[0][1].shape[1]))
-    for value, (mass, p) in zip(log_jnd, answers, strict=True):
-        # Belief is a density: spread evenly between nodes before it meets that of another.
-        fine = np.linspace(value[0], value[-1], 64 * (value.size - 1) + 1)
-        density = np.interp(fine, value, mass)
-        density /= density.sum() * len(answers)
-        given = np.stack([np.interp(fine, value, column) for column in p.T], axis=1)
-        at = np.clip(np.searchsorted(bins, fine) - 1, 0, bins.size - 1)
-        np.add.at(total, at, density)
-        np.add.at(up, at, density[:, None] * given)
-    share = up / np.maximum(total, 1e-300)[:, None]
-    return np.asarray(entropy(up.sum(axis=0)) - total @ entropy(np.clip(share, 0.0, 1.0)))
+    return np.maximum([about_k, about_hypothesis], 0.0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.psychometric import decision_variable
 from ..behaviour.tasks import SignedChoice, YesNo
 from ..behaviour.trials import Cells, Trials
-from .belief import Belief, GrowingBelief, Pair, entropy
+from .belief import Belief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
 
@@ -56,25 +56,8 @@ class Proposal:
     information: float = float("nan")
 
 
-class Placer(Protocol):
-    """Whatever chooses trials: `BayesianPlacer`, and `Staircase`."""
-
-    @property
-    def finished(self) -> str:
-        """Why there are trials enough; empty where there are not."""
-
-    def next(self, standard: float | None = None) -> Proposal:
-        """The next trial, the same until it is recorded."""
-
-    def check(self, standard: float, comparison: float, choice: Any) -> object:
-        """Refuses what `record` would."""
-
-    def record(self, standard: float, comparison: float, choice: Any) -> None:
-        """What was shown, and what was answered."""
-
-
 class TrialLog:
-    """The trials so far, as a fit takes them."""
+    """The trials so far, as a fit takes them; `BayesianPlacer` and `Staircase` choose the next."""
 
     most: int | None = None  # trials, after which there are enough
 
@@ -268,7 +251,7 @@ class BayesianPlacer(TrialLog):
             refuse_given_k(self.hypotheses, f"trials end at an interval of k of width={width:g}")
         self.easy_share, self.width, self.most = easy_share, width, _limit("most", most)
         self._cells = scheme.cells()
-        self.beliefs = {h.name: GrowingBelief(h, self._cells) for h in self.hypotheses}
+        self.beliefs = {h.name: Belief(h, self._cells) for h in self.hypotheses}
 
     @property
     def probabilities(self) -> dict[str, float]:

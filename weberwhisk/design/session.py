@@ -33,7 +33,7 @@ from .._util import checks
 from .._util.log import Log
 from .._util.values import Array, Index
 from ..behaviour.trials import Cells
-from .placement import BayesianPlacer, Placer, Proposal
+from .placement import BayesianPlacer, Proposal, TrialLog
 from .scheme import Scheme, millimetres
 
 Counts = Index  # what NumPy counts with: 32 bits in a browser
@@ -295,7 +295,7 @@ class Session:
 
     Parameters
     ----------
-    placer : Placer
+    placer : BayesianPlacer or Staircase
         Fresh: what is in the file is recorded in it again.
     path : path or None
         An append-only file of JSON lines. None: in memory alone.
@@ -326,7 +326,7 @@ class Session:
 
     def __init__(
         self,
-        placer: Placer,
+        placer: TrialLog,
         path: str | os.PathLike[str] | None,
         question: dict[str, Any] | None = None,
     ) -> None:
@@ -430,7 +430,7 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
     yield json.dumps(about | _known(session.placer))
 
 
-def _known(placer: Placer) -> dict[str, Any]:
+def _known(placer: TrialLog) -> dict[str, Any]:
     """What is known so far, where the placer knows it."""
     if not isinstance(placer, BayesianPlacer):
         return {}

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..design.power_analysis import Power
 
 #: What the columns of `information_map` are about.
-ABOUT = {"weber_fraction": "k", "jnd": "the JND", "hypothesis": "the hypothesis"}
+ABOUT = {"weber_fraction": "k", "hypothesis": "the hypothesis"}
 
 
 @styled
@@ -48,7 +48,7 @@ def information_map(
     table : DataFrame
         From `weberwhisk.design.information`.
     ax : Axes, optional
-    about : {"weber_fraction", "jnd", "hypothesis"}
+    about : {"weber_fraction", "hypothesis"}
 
     Examples
     --------
