@@ -39,7 +39,7 @@ from speed_accuracy.beams import timed
 import weberwhisk as ww
 from weberwhisk import plots
 from weberwhisk.mechanics import Choice
-from weberwhisk.mechanics.scene import press_by
+from weberwhisk.mechanics.ladder import press_by
 from weberwhisk.plots.style import SMALL
 
 Array = np.ndarray
@@ -127,7 +127,7 @@ class Contacts:
         )  # fmt: skip
 
     def press(self, model: Any = None) -> ww.Bending:
-        """Each by the model named of it; without one by the lowest that has all there is."""
+        """By a model; without one by the lowest that has all there is."""
         if model is not None:
             scene = self.whisker, self.distance, self.angle, self.friction, self.roll
             return press_by(*scene, model)

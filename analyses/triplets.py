@@ -42,7 +42,7 @@ class Contacts:
 
     def __init__(self, whisker: ww.Whisker) -> None:
         self.surface = space_surface(whisker)
-        self.reach = self.surface.reach()
+        self.reach = self.surface.reach
 
     def signals(self, q: Any) -> Any:
         """FX, FT, FD, MX, MB, MD (n, 6) at places (n, 3), lengths in reaches."""

@@ -42,9 +42,8 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.objects": ("mechanics.touch",),
     "mechanics.muscle": ("mechanics.elastica",),
     "mechanics.modes": ("mechanics.shape",),
-    "mechanics.scene": ("mechanics.rod", "mechanics.closed_form"),
-    "mechanics.model_choice": ("mechanics.scene",),
-    "mechanics.ladder": ("mechanics.model_choice",),
+    "mechanics.ladder": ("mechanics.rod", "mechanics.closed_form"),
+    "mechanics.model_choice": ("mechanics.ladder",),
     "mechanics.branches": ("mechanics.rod",),
     "mechanics.curved_surface": ("mechanics.branches",),
     "mechanics.forward": (
@@ -54,6 +53,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     ),
     "mechanics": (
         "mechanics.forward",
+        "mechanics.model_choice",
         "mechanics.objects",
         "mechanics.muscle",
         "mechanics.modes",

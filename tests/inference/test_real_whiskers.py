@@ -55,7 +55,7 @@ def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
     w = whisker(radius_ratio, curvature)
     surface = PlanarSurface(w, (friction, friction))
     assert surface.error < 2e-5
-    r = np.linspace(0.05, 0.99, 7) * surface.reach()
+    r = np.linspace(0.05, 0.99, 7) * surface.reach
     end = profile.flick_past(w, r, friction)
     limit = surface.limit(r)
     assert limit == pytest.approx(end.deflection_angle - profile.rest_angle(w, r), rel=1e-4)
@@ -63,9 +63,7 @@ def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
     assert np.isnan(beyond).all()
     assert np.array_equal(outcome, end.ended_by)
     assert (surface(r, np.full(r.shape, -1e-3))[1] == ww.Outcome.NO_TOUCH).all()
-    assert (
-        surface(np.array([1.01 * surface.reach()]), np.array([0.1]))[1] == ww.Outcome.OUT_OF_REACH
-    )
+    assert surface(np.array([1.01 * surface.reach]), np.array([0.1]))[1] == ww.Outcome.OUT_OF_REACH
 
 
 def test_friction_and_curvature_that_are_unknown_are_axes_of_the_surface():

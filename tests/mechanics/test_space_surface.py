@@ -26,7 +26,7 @@ def test_signals_and_ends_are_those_of_the_rod_itself(friction):
     surface = space_surface(W, (friction, friction))
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
-    r = surface.reach() * rng.uniform(0.02, 0.995, 40)
+    r = surface.reach * rng.uniform(0.02, 0.995, 40)
     azimuth = rng.uniform(-np.pi, np.pi, 40)
     last = surface.limit(r, azimuth)
     push = last * np.append(rng.uniform(0.01, 0.99, 20), [0.999] * 20)
@@ -71,7 +71,7 @@ def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction
     surface = space_surface(W, (friction, friction))
     mirrored = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND)
     plane = PlanarSurface(mirrored, (friction, friction))
-    r = np.linspace(0.05, 0.995, 24) * surface.reach()
+    r = np.linspace(0.05, 0.995, 24) * surface.reach
     last = surface.limit(r, np.full(r.shape, azimuth))
     assert last == pytest.approx(plane.limit(r), rel=1e-5)
     push = last * np.linspace(0.02, 0.98, 24)

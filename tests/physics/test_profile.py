@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from short_forms import slow_but
 
+import weberwhisk as ww
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.profile import bend, flick_past, press, rest_angle
@@ -254,7 +255,7 @@ def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):
 
 def test_friction_of_a_right_angle_is_refused():
     with pytest.raises(ValueError, match=r"between −π/2 and π/2, got 1\.6"):
-        bend(STRAIGHT, 25e-3, 1e-6, 1.6)
+        ww.bend(STRAIGHT, 25e-3, 1e-6, 1.6)
 
 
 # Pathologies, each with its reason.
@@ -359,8 +360,8 @@ def test_whiskers_scenes_and_friction_broadcast():
         (lambda: Profile.of(STRAIGHT).hollow(2e-4, 1e-2), "core must be inside the whisker"),
         (lambda: Profile.tabulated([0, 2e-2, 1e-2], [1e-4, 5e-5, 1e-5]), "must ascend from 0"),
         (lambda: Profile.tabulated([0, 2e-2], [1e-4]), "need one value a knot"),
-        (lambda: flick_past(STRAIGHT, 1e-2, side=2), "side must be 1 or -1, got 2"),
-        (lambda: press(STRAIGHT, -1e-2, 0.1), "must be above zero"),
+        (lambda: ww.flick_past(STRAIGHT, 1e-2, side=2), "side must be 1 or -1, got 2"),
+        (lambda: ww.press(STRAIGHT, -1e-2, 0.1), "must be above zero"),
     ],
 )
 def test_misuse_is_one_sentence(make, message):

@@ -10,12 +10,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .contact import Bending, Choice, FlickPast, Model, Outcome
+from .contact import Bending, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
-    from .model_choice import choose_model
+    from .model_choice import Choice, choose_model
     from .modes import Modes
     from .muscle import MuscleCurve
     from .objects import Sweep, sweep
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
-    "model_choice": ("choose_model",),
+    "model_choice": ("Choice", "choose_model"),
     "shape": ("Parabola", "Profile", "Spiral"),
     "profile": ("rest_angle",),
     "rod": ("RodBending",),

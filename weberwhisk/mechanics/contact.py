@@ -6,11 +6,17 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import domain
+from .._util.checks import finite
 from .._util.values import Array, Codes, Flags, Shown, Worded, member, pd
 from ..whisker import Whisker
+
+__all__ = [
+    "NUMBERS", "TIP_ROUNDING", "TOLERANCE", "Bending", "FlickPast", "Model", "Outcome",
+    "bending", "friction",
+]  # fmt: skip
 
 
 class Outcome(Worded):
@@ -61,69 +67,6 @@ class Model(Worded):
     def title(self) -> str:
         """The model's name in words."""
         return self.message
-
-
-#: The unit of a bias that is not judged against any noise.
-SIGNAL_UNIT = "of a signal"
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The model that each scene needs, and why: what `choose_model` returns.
-
-    Attributes
-    ----------
-    model : Model or array of int
-        The cheapest model whose bias is within the tolerance.
-    error : array (..., 4)
-        Largest relative error of the moment and the two forces, by model. Infinite where a model
-        finds no contact, 0 from the first model on that models all there is.
-    bias : array (..., 4)
-        What is judged, by model: the shift of the inferred radial distance by that error, in JNDs,
-        or where no noise was named the error itself.
-    tolerance : float or array
-        The largest bias allowed.
-    unit : str
-        What bias and tolerance are in, in words.
-    """
-
-    model: Model | Codes
-    error: Array
-    bias: Array
-    tolerance: ArrayLike
-    unit: str = "JND"
-
-    @property
-    def why(self) -> str | NDArray[np.object_]:
-        """The reason in words: one sentence, or an array of them."""
-        tolerance = np.broadcast_to(self.tolerance, np.shape(self.model))
-        why = np.empty(np.shape(self.model), dtype=object)
-        for at in np.ndindex(why.shape):
-            model = Model(int(np.asarray(self.model)[at]))
-            why[at] = _reason(model, self.bias[at], float(tolerance[at]), self.unit)
-        return str(why[()]) if why.ndim == 0 else why
-
-
-def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
-    here = f"{model.title} is off by {_shown(bias[model], allowed)} {unit}"
-    if bias[model] == 0:
-        here = f"{model.title} models all there is in this scene"
-    if model == Model.CLOSED_FORM:
-        return f"{here}, {allowed:g} allowed, and nothing is cheaper"
-    below = Model(model - 1)
-    if np.isinf(bias[below]):
-        return f"{here}; {below.title} finds no contact here"
-    there = f"{below.title} is off by {_shown(bias[below], allowed)} {unit}"
-    return f"{here}; {there}, {allowed:g} allowed"
-
-
-def _shown(bias: float, allowed: float) -> str:
-    """A bias in two digits, or as many more as show on which side of what is allowed it lies."""
-    for digits in range(2, 17):
-        text = f"{bias:.{digits}g}"
-        if np.sign(float(text) - float(f"{allowed:g}")) == np.sign(bias - allowed):
-            break
-    return text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -281,3 +224,14 @@ class FlickPast:
     ended_by: Outcome | Codes
     at_end: Bending
     at_moment_peak: Bending
+
+
+def friction(friction_angle: ArrayLike) -> Array:
+    """Friction angles as an array; a right angle or more is misuse."""
+    tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
+    if np.any(np.abs(tilt) >= np.pi / 2):
+        raise ValueError(
+            "friction_angle must be between −π/2 and π/2, got "
+            f"{np.ravel(tilt)[np.argmax(np.abs(tilt))]:g}; give radians, such as np.arctan(0.48)."
+        )
+    return tilt

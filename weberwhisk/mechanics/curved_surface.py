@@ -15,7 +15,6 @@ comes to the length. What else a contact depends on is one more Chebyshev axis.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple, cast
 
@@ -46,7 +45,6 @@ class _Places(NamedTuple):
     far: Flags
     room: Array
     last: Array
-    rest: Array
     poly: Array
     by_r: Array
 
@@ -120,7 +118,7 @@ class CurvedSurface:
             return np.ascontiguousarray(out.reshape(reach.size, -1).T)
 
         self._reach = table(reach)[0]
-        self._curves = table(np.stack([end[:, -1], branches.rest], axis=-1))
+        self._folds = table(end[:, -1:])
         self._signals, self._arcs = table(values[:, :-1]), table(values[:, -1])
         # No contact nearer than this share of the reach comes to the tip.
         share = np.tile(self._at(nodes(along)), reach.size)
@@ -138,6 +136,11 @@ class CurvedSurface:
         off /= (3 * push * room * self.stiffness / r**2)[:, None]
         off[:, self._moments] /= r[:, None]
         return float(np.max(np.where(np.isnan(off), np.inf, off)))
+
+    @property
+    def reach(self) -> float:
+        """Distance of the tip at rest, m."""
+        return self.length * float(reach_of(extended(self.profile, np.zeros(1)))[0])
 
     # -- evaluation ----------------------------------------------------------------------------
 
@@ -182,10 +185,10 @@ class CurvedSurface:
         share = np.clip(r / reach, 0.0, 1.0)
         room = 1 - self.taper * share
         by_r = basis(self._along, self._coordinate(share))
-        last, rest = self._contracted(self._curves, poly, by_r)
+        (last,) = self._contracted(self._folds, poly, by_r)
         far = known & (share > self._safe)
         r = np.where(known, r, 1.0)
-        return _Places(which, r, known, far, room, last * room, rest, poly, by_r)
+        return _Places(which, r, known, far, room, last * room, poly, by_r)
 
     def _arcs_at(self, place: _Places) -> Array:
         """Arcs of the far places as polynomials of c, (across, n)."""
@@ -212,11 +215,6 @@ class CurvedSurface:
             end = np.where(found.success, found.x, c[first - 1])
             out[np.flatnonzero(place.far)[slips]] *= 1 - end**2
         return out[place.which]
-
-    def rest(self, r: Array, *given: Any) -> Array:
-        """Deflection angle at each distance (n,) at which the whisker at rest just touches, rad."""
-        place = self._placed(r, tuple(map(np.atleast_1d, given)))
-        return np.where(place.known, place.rest, np.nan)[place.which]
 
     def __call__(self, r: Array, push: Array, *given: Any) -> tuple[Array, Codes]:
         """Signals (n, S), NaN where not held, and outcomes (n,) at distances and pushes (n,)."""
@@ -337,13 +335,8 @@ class PlanarSurface(CurvedSurface):
             law = self.profile.law
             assert isinstance(law, Spiral)
             whisker = self.profile.curved(Spiral(law.base + offset, law.rate + 0 * offset))
-        bent = planar.press(whisker, r, self.rest(r, *given) + push, friction)
+        bent = planar.press(whisker, r, planar.rest_angle(whisker, r) + push, friction)
         return np.stack([bent.moment, bent.axial_force, bent.transverse_force], axis=-1)
-
-    def reach(self, offset: float = 0.0) -> float:
-        """Distance of the tip at rest, m."""
-        poly = self._polynomials((np.array([self._ends[0][0]]), np.atleast_1d(offset)))
-        return self.length * float((self._reach @ poly)[0])
 
 
 class SpaceSurface(CurvedSurface):
@@ -411,22 +404,6 @@ class SpaceSurface(CurvedSurface):
     def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
         azimuth, friction, offset = given
         return pressed(self.whisker, r, push, azimuth, friction, offset)[0]
-
-    def known(self, friction: float, offset: float) -> SpaceSurface:
-        """The same of one friction and offset: at a contact, a seventh of the work or less."""
-        out, given = copy(self), (np.array([friction]), np.array([offset]))
-        parts = zip(self._axes[1:], _share(self._ends, given), strict=True)
-        psi, kappa = (basis(k, share)[:, 0] for k, share in parts)
-        poly = np.outer(psi, kappa).ravel()
-        out._axes, out._ends = [self._axes[0], 1, 1], ((friction,) * 2, (offset,) * 2)
-        for name in ("_reach", "_curves", "_signals", "_arcs"):
-            rows = getattr(self, name)
-            setattr(out, name, rows.reshape(*rows.shape[:-1], self._axes[0], -1) @ poly)
-        return out
-
-    def reach(self) -> float:
-        """Distance of the tip at rest, m."""
-        return self.length * float(self._reach[0])
 
 
 def _between(ends: Sequence[tuple[float, float]], shares: Sequence[Array]) -> tuple[Array, ...]:

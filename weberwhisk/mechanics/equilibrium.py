@@ -5,7 +5,7 @@ The inner half of the planar beam, in units of the whisker's length, base radius
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.checks import finite
 from .._util.values import Array, Codes, Flags, Index, member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
@@ -25,15 +24,18 @@ from .shape import Profile
 Solved = tuple[Array, Codes, Array]
 
 
-def friction(friction_angle: ArrayLike) -> Array:
-    """Friction angles as an array; a right angle or more is misuse."""
-    tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
-    if np.any(np.abs(tilt) >= np.pi / 2):
+def common_shape(profile: Profile, arguments: Mapping[str, ArrayLike]) -> tuple[int, ...]:
+    """The shape to which whiskers and arguments broadcast; refused where they do not."""
+    law = vars(profile.law).values()
+    whiskers = profile.arc[0], profile.radius[0], profile.whisker.stiffness, *law
+    try:
+        return np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
+    except ValueError:
+        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
         raise ValueError(
-            "friction_angle must be between −π/2 and π/2, got "
-            f"{np.ravel(tilt)[np.argmax(np.abs(tilt))]:g}; give radians, such as np.arctan(0.48)."
-        )
-    return tilt
+            f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
+            f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
+        ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +53,7 @@ class Scenes:
     def of(cls, whisker: Whisker | Profile, **arguments: ArrayLike) -> Scenes:
         """Scenes with the arguments named ``length`` and ``force`` brought to natural units."""
         profile = Profile.of(whisker)
-        base = profile.whisker
-        whiskers = profile.arc[0], profile.radius[0], base.stiffness, *vars(profile.law).values()
-        try:
-            shape = np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
-        except ValueError:
-            shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
-            raise ValueError(
-                f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
-                f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
-            ) from None
+        base, shape = profile.whisker, common_shape(profile, arguments)
 
         def flat(value: ArrayLike) -> Array:
             return np.broadcast_to(np.asarray(value, dtype=float), shape).reshape(-1)

@@ -1,7 +1,7 @@
 """From a contact to the base signals of one whisker, whatever the whisker and the contact are like.
 
-The one place that cues ask: by the straight elastica's `Surface`, by the planar beam's
-`PlanarSurface` where there is curvature, friction or a profile, or by a model that is named.
+Cues ask here: for the elastica's `Surface` of a straight whisker, the `PlanarSurface` or
+`SpaceSurface` of any other, or a model that is named.
 
 A contact is given by its radial distance and its *deflection from rest*: how far the whisker has
 been turned since it first touched at that distance. On a straight whisker that is the deflection
@@ -16,9 +16,9 @@ clamped whisker at θ′, with
 
 The angle grows with θ′ until the fold, or until the moment falls faster than the whisker is bent:
 there the whisker flicks past, the earlier the softer the spring. With θ′ = limit·sin p and
-θ = largest·sin q all is smooth on either side. Contacts count as lost from half a turn on, as next
-to the base whatever turns there turns the spring alone; where Λ is not known, from the share of the
-largest angle on that is half a turn for the middle of its range, so that nothing has a kink in it.
+θ = largest·sin q both are smooth up to these ends. Contact is lost from half a turn on, as next to
+the base a push turns the spring alone; where Λ is unknown, from the share of the largest angle on
+that is half a turn for the middle of its range, so that the limit has no kink.
 """
 
 from __future__ import annotations
@@ -38,11 +38,14 @@ from .._util.checks import angle, positive, refuse_hinge
 from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
+from .beam import rows_of
 from .branches import THINNEST
 from .contact import Outcome
+from .continuation import zero_load
 from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
 from .elastica import Surface, in_pieces, surface_of
-from .shape import Law, Profile, Spiral
+from .profile import rest_angle
+from .shape import Profile, Spiral
 
 NAMES = ("moment", "axial_force", "transverse_force")
 #: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
@@ -53,17 +56,17 @@ FRICTION_COEFFICIENT = 0.48
 class ForwardModel(Value):
     """One whisker, and what its contacts are like beside where they are.
 
-    A `model` that is named solves for every contact; by default it is the elastica of a straight
-    whisker without friction, and the planar beam's `PlanarSurface` of any other. The elastica and
-    the closed form of a curved one are those of the same taper, deflected by as much from rest. On
-    a hinge, tables say how much of a deflection bends the whisker, and a model that is named solves
-    for the signals of that.
+    The models "profile" and "rod", where named, solve for every contact; by default a table serves:
+    the elastica's of a straight whisker without friction, the planar beam's of any other. The
+    elastica and the closed form of a curved whisker are those of the same taper, deflected by as
+    much from rest. On a hinge, tables say how much of a deflection bends the whisker, and a model
+    that is named solves for the signals of that.
 
     The `friction` angle (rad, as in `press`), the `offset` added to the curvature at rest (1/m) and
     the stiffness of the `hinge` (N m/rad, by default the whisker's own) are numbers or arrays that
-    broadcast with the contacts; their ranges are of all that may be asked for. With an `azimuth`,
-    rad, from the side that the whisker curves to, contacts are in space (see `space_surface`); by
-    default they are in the plane of curvature, on that side.
+    broadcast with the contacts; their ranges are those that tables cover. With an `azimuth`, rad,
+    from the side that the whisker curves to, contacts are in space (see `SpaceSurface`); by default
+    they are in the plane of curvature, on that side.
 
     Examples
     --------
@@ -83,10 +86,6 @@ class ForwardModel(Value):
     offset_range: tuple[float, float] = (0.0, 0.0)
     hinge_range: tuple[float, float] = (0.0, 0.0)
     azimuth: Any = None
-    #: Names and values of what is known although cues take it for uncertain; and between which ends
-    #: they do, which one table serves.
-    fixed: tuple[tuple[str, float], ...] = ()
-    tabled_range: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("friction", "offset"):
@@ -123,11 +122,8 @@ class ForwardModel(Value):
 
     @cached_property
     def _compliances(self) -> tuple[float, float]:
-        """Between which it lies; of one that is fixed, of all that cues take it for.
-
-        Those say up to where contacts count as held.
-        """
-        low, high = dict(self.tabled_range).get("hinge", self.hinge_range)
+        """The ends of its range."""
+        low, high = self.hinge_range
         return (1 / high, 1 / low) if high > low else (float(self.hinge_compliance),) * 2
 
     @cached_property
@@ -170,24 +166,10 @@ class ForwardModel(Value):
     def surface(self) -> Surface | PlanarSurface | SpaceSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            table = space_surface(self.whisker, *self._tabled)
-            ends = self.friction_range, self.offset_range
-            one = ends != self._tabled and np.ptp(ends, axis=1).max() == 0
-            return table.known(ends[0][0], ends[1][0]) if one else table
+            return space_surface(self.whisker, self.friction_range, self.offset_range)
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
-        return self._planar
-
-    @property
-    def _tabled(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Ends of friction and offset that a table serves."""
-        ends = {"friction": self.friction_range, "offset": self.offset_range}
-        ends |= {name: of for name, of in self.tabled_range if name in ends}
-        return ends["friction"], ends["offset"]
-
-    @property
-    def _planar(self) -> PlanarSurface:
-        return planar_surface(self.clamped.whisker, *self._tabled)
+        return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
 
     @property
     def error(self) -> float:
@@ -195,21 +177,14 @@ class ForwardModel(Value):
         return getattr(self.surface, "error", 1e-9)
 
     def with_uncertain(self, name: str, value: Any, ends: tuple[float, float]) -> ForwardModel:
-        """With another ``friction``, ``offset`` or ``hinge``, between two ends.
-
-        What is `fixed` stays one number for all contacts, and its range that number.
-        """
+        """With another ``friction``, ``offset`` or ``hinge``, between two ends."""
         if ends[1] > ends[0] and name != "hinge":
             refuse_hinge(self.whisker, "An unknown friction or curvature")
         changed: dict[str, Any] = {name: value, f"{name}_range": ends}
-        if name in (known := dict(self.fixed)):
-            at = known[name]
-            changed = {name: at, f"{name}_range": (at, at)}
-            changed["tabled_range"] = (*self.tabled_range, (name, ends))
         return replace(self, **changed)
 
     def extremes(self, count: int = 3) -> list[ForwardModel]:
-        """Some of all that may be, each with numbers for what is uncertain."""
+        """Models at `count` values of each uncertain condition, its ends among them."""
         grids, out = self._grids(count), []
         for values in product(*(map(float, grid) for grid in grids.values())):
             one: dict[str, Any] = dict(zip(grids, values, strict=True))
@@ -217,22 +192,23 @@ class ForwardModel(Value):
         return out
 
     def between(self, values: Array, count: int = 5) -> Array:
-        """What values (..., n) at the `extremes` are where this one is, (...): by Lagrange."""
+        """Values (..., n) at the `extremes`, interpolated (by Lagrange) to this model's, (...)."""
         weight = np.ones(1)
         for name, grid in self._grids(count).items():
             at, nodes = np.asarray(getattr(self, name), dtype=float), grid
             if name == "hinge":
                 at, nodes = np.log(at), np.log(grid)
-            own = [
+            each = [
                 np.prod([(at - other) / (node - other) for other in nodes if other != node], axis=0)
                 for node in nodes
             ]
-            both = weight[..., :, None] * np.stack(np.broadcast_arrays(*own), axis=-1)[..., None, :]
+            own = np.stack(np.broadcast_arrays(*each), axis=-1)
+            both = weight[..., :, None] * own[..., None, :]
             weight = both.reshape(*both.shape[:-2], -1)
         return np.asarray((values * weight).sum(axis=-1))
 
     def _grids(self, count: int) -> dict[str, Array]:
-        """Values of what is uncertain or, of friction and curvature, known."""
+        """Values of each condition over its range."""
         out = {
             "friction": np.unique(np.linspace(*self.friction_range, count)),
             "offset": np.unique(np.linspace(*self.offset_range, count)),
@@ -261,10 +237,19 @@ class ForwardModel(Value):
 
     def rest(self, r: ArrayLike) -> Array:
         """Deflection angle at which the whisker at rest touches at a distance (...), rad."""
-        shape, (flat, psi, kappa, _) = self._rows(r)
         if self.is_plain:
-            return np.zeros(shape)
-        return self._planar.rest(flat, psi, kappa).reshape(shape)
+            return np.zeros(self._rows(r)[0])
+        shape, (flat, _, offset, _) = self._rows(r)
+        rows = rows_of(self._at_rest(offset), flat.shape)
+        return zero_load(rows, flat / self.length)[1].reshape(shape)
+
+    def _at_rest(self, offset: Array) -> Profile:
+        """The clamped whisker, more curved by offsets (n,) or (1,), 1/m."""
+        profile = Profile.of(self.clamped.whisker)
+        if not np.any(offset):
+            return profile
+        assert isinstance(profile.law, Spiral)
+        return profile.curved(Spiral(profile.law.base + offset, profile.law.rate + 0 * offset))
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
@@ -285,17 +270,8 @@ class ForwardModel(Value):
         """Largest radial distance of any contact, m: where the tip is at rest."""
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return self.length
-        tip = np.array([self.length])
-        return max(float(np.hypot(*self._law(f.offset).point(tip))[0]) for f in self.extremes())
-
-    def _law(self, offset: Any) -> Law:
-        """The shape at rest, more curved by an offset."""
-        whisker = self.clamped.whisker
-        law = (whisker if isinstance(whisker, Profile) else Profile.of(whisker)).law
-        if not np.any(offset):
-            return law
-        assert isinstance(law, Spiral)
-        return Spiral(law.base + offset, law.rate + 0 * np.asarray(offset))
+        laws = [self._at_rest(np.asarray(f.offset)).law for f in self.extremes()]
+        return float(max(np.max(np.hypot(*law.point(np.array([self.length])))) for law in laws))
 
     def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
@@ -304,7 +280,7 @@ class ForwardModel(Value):
             signals, outcome = self.clamped.signals(r, inner)
             outcome[falls & (outcome == Outcome.SLIPPED_OFF_TIP)] = Outcome.FLICKED_PAST
             return signals, outcome
-        if self.model is not None and not (self.model == "elastica" and not self.is_plain):
+        if self.model not in (None, "elastica"):
             return self._solved(r, theta)
         return self.tabled(r, theta)
 
@@ -357,22 +333,15 @@ class ForwardModel(Value):
             bare = closed_form.press(_straightened(self.base), r, theta)
             signals = np.stack([getattr(bare, name) for name in NAMES], axis=-1)
             return signals, np.asarray(bare.outcome, dtype=np.int8)
-        whisker = self.whisker
-        if np.any(self.offset):
-            whisker = Profile.of(whisker).curved(self._law(self.offset))
-        theta = np.asarray(theta, dtype=float)
-        if np.any(getattr(whisker, "curvature", 1.0)):
-            from .profile import rest_angle
-
-            theta = theta + rest_angle(whisker, r)
-            if np.isnan(theta).any():
-                held = ~np.isnan(theta)
-                r, theta = np.where(held, r, 0.5 * self.length), np.where(held, theta, np.pi)
-        # On a hinge that is soft enough some are lost beyond a whole turn, which are no degrees.
+        whisker = self._at_rest(np.asarray(self.offset)) if np.any(self.offset) else self.whisker
+        theta = np.asarray(theta, dtype=float) + rest_angle(whisker, r)
+        reached = ~np.isnan(theta)
+        r, theta = np.where(reached, r, 0.5 * self.length), np.where(reached, theta, np.pi)
+        # On a hinge that is soft enough some are lost beyond a whole turn, which `press` refuses.
         theta = np.clip(theta, -2 * np.pi, 2 * np.pi)
-        bent_ = ladder.press(whisker, r, theta, self.friction, model=self.model)
-        signals = np.stack([getattr(bent_, name) for name in NAMES], axis=-1)
-        return signals, np.asarray(bent_.outcome, dtype=np.int8)
+        bent = ladder.press(whisker, r, theta, self.friction, model=self.model)
+        signals = np.stack([getattr(bent, name) for name in NAMES], axis=-1)
+        return signals, np.asarray(bent.outcome, dtype=np.int8)
 
     def jacobian(self, r: ArrayLike, theta: ArrayLike) -> Array:
         """Derivatives (..., 3, 2) of the signals to distance (m) and deflection from rest (rad).

@@ -17,23 +17,89 @@ over the reach says which model serves it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._util.checks import finite, positive
 from .._util.values import Array, Codes
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
-from .contact import SIGNAL_UNIT, Choice, Model, Outcome
-from .equilibrium import Scenes, friction
-from .scene import SceneRows, press
+from .contact import Model, Outcome, friction
+from .equilibrium import common_shape
+from .ladder import press_by, signal_jacobian
+from .profile import rest_angle
 from .shape import Profile, Spiral
+
+__all__ = ["Choice", "Chosen", "choose_model", "chosen", "note", "of_shape_at_rest", "why"]
+
+NAMES = ("moment", "axial_force", "transverse_force")
 
 #: Rows of the base signals that a cue can feel; a rate at a given speed is as good.
 _ROWS = {"moment": 0, "moment_rate": 0, "axial_force": 1, "transverse_force": 2}
 _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
+#: The unit of a bias that is not judged against any noise.
+SIGNAL_UNIT = "of a signal"
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The model that each scene needs, and why: what `choose_model` returns.
+
+    Attributes
+    ----------
+    model : Model or array of int
+        The cheapest model whose bias is within the tolerance.
+    error : array (..., 4)
+        Largest relative error of the moment and the two forces, by model. Infinite where a model
+        finds no contact, 0 from the first model on that models all there is.
+    bias : array (..., 4)
+        What is judged, by model: the shift of the inferred radial distance by that error, in JNDs,
+        or where no noise was named the error itself.
+    tolerance : float or array
+        The largest bias allowed.
+    unit : str
+        What bias and tolerance are in, in words.
+    """
+
+    model: Model | Codes
+    error: Array
+    bias: Array
+    tolerance: ArrayLike
+    unit: str = "JND"
+
+    @property
+    def why(self) -> str | NDArray[np.object_]:
+        """The reason in words: one sentence, or an array of them."""
+        tolerance = np.broadcast_to(self.tolerance, np.shape(self.model))
+        why = np.empty(np.shape(self.model), dtype=object)
+        for at in np.ndindex(why.shape):
+            model = Model(int(np.asarray(self.model)[at]))
+            why[at] = _reason(model, self.bias[at], float(tolerance[at]), self.unit)
+        return str(why[()]) if why.ndim == 0 else why
+
+
+def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
+    here = f"{model.title} is off by {_shown(bias[model], allowed)} {unit}"
+    if bias[model] == 0:
+        here = f"{model.title} models all there is in this scene"
+    if model == Model.CLOSED_FORM:
+        return f"{here}, {allowed:g} allowed, and nothing is cheaper"
+    below = Model(model - 1)
+    if np.isinf(bias[below]):
+        return f"{here}; {below.title} finds no contact here"
+    there = f"{below.title} is off by {_shown(bias[below], allowed)} {unit}"
+    return f"{here}; {there}, {allowed:g} allowed"
+
+
+def _shown(bias: float, allowed: float) -> str:
+    """A bias in two digits, or as many more as show on which side of what is allowed it lies."""
+    for digits in range(2, 17):
+        text = f"{bias:.{digits}g}"
+        if np.sign(float(text) - float(f"{allowed:g}")) == np.sign(bias - allowed):
+            break
+    return text
 
 
 def choose_model(
@@ -88,30 +154,26 @@ def choose_model(
     the straight elastica is off by 0.039 JND; the closed form is off by 1 JND, 0.1 allowed
     """
     names, unknowns = _spec(cue)
-    scenes = Scenes.of(
-        whisker,
-        length=positive("radial_distance", radial_distance, "give metres, such as 35e-3"),
-        angle=finite("deflection_angle", deflection_angle, "give radians, such as 0.35"),
-        tilt=friction(friction_angle),
-        roll=finite("roll", roll, "give radians, 0 for contact in the plane of curvature"),
-        weber_fraction=positive(
-            "weber_fraction",
-            1.0 if weber_fraction is None else weber_fraction,
-            "give a fraction, such as 0.1",
-        ),
-        tolerance=positive("tolerance", tolerance, "give a fraction, such as 0.1"),
-    )
-    n, shape = scenes.length.size, scenes.shape
-    error, bias, model = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
-    for part, rows, (r, theta, psi, turn, k, allowed) in scenes.pieces():
-        scene = _pushed(SceneRows.of(rows, r, theta, psi, turn))
-        error[:, part], off = _biases(scene, [_ROWS[name] for name in names], unknowns)
-        bias[:, part] = error[:, part] if weber_fraction is None else off / k
-        model[part] = np.argmax(bias[:, part] <= allowed, axis=0)
+    hint = "give a fraction, such as 0.1"
+    noise = 1.0 if weber_fraction is None else weber_fraction
+    k, allowed = positive("weber_fraction", noise, hint), positive("tolerance", tolerance, hint)
+    r = positive("radial_distance", radial_distance, "give metres, such as 35e-3")
+    theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
+    tilt = friction(friction_angle)
+    turn = finite("roll", roll, "give radians, 0 for contact in the plane of curvature")
+    given = {"radial_distance": r, "deflection_angle": theta, "friction_angle": tilt, "roll": turn,
+             "weber_fraction": k, "tolerance": allowed}  # fmt: skip
+    shape = common_shape(Profile.of(whisker), given)
+    theta = np.broadcast_to(_pushed(whisker, r, theta, turn), shape)
+    top = np.broadcast_to(_top(whisker, tilt, turn), shape)
+    scene = whisker, r, theta, tilt, turn
+    error, off = _biases(scene, top, [_ROWS[name] for name in names], unknowns)
+    bias = error if weber_fraction is None else off / k
+    model = np.argmax(bias <= allowed, axis=0).astype(np.int8)
     return Choice(
-        model.reshape(shape) if shape else Model(int(model[0])),
-        error.T.reshape(*shape, 4),
-        bias.T.reshape(*shape, 4),
+        model if shape else Model(int(model)),
+        np.moveaxis(error, 0, -1),
+        np.moveaxis(bias, 0, -1),
         tolerance,
         SIGNAL_UNIT if weber_fraction is None else "JND",
     )
@@ -131,53 +193,53 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
     return names, unknowns == _UNKNOWNS[1]
 
 
-def _pushed(scene: SceneRows, least: float = 1e-6) -> SceneRows:
-    """With a push, rad, below which signals are proportional to it: relative errors stay."""
-    nudge = np.where(scene.push < 0, -least, least)
-    push = np.where(np.abs(scene.push) < least, nudge, scene.push)
-    return replace(scene, push=push, angle=scene.angle + push - scene.push)
+def _pushed(whisker: Whisker | Profile, r: Array, theta: Array, roll: Array) -> Array:
+    """Angles at which the push is 1e-6 rad or more, to which signals are proportional below."""
+    rest = rest_angle(whisker, r)
+    push = theta - np.arctan2(np.sin(rest) * np.cos(roll), np.cos(rest))
+    nudge = np.where(push < 0, -1e-6, 1e-6) - push
+    return theta + np.where(np.abs(push) < 1e-6, nudge, 0.0)
 
 
-def _biases(scene: SceneRows, sensed: list[int], angle_unknown: bool) -> tuple[Array, Array]:
-    """Largest relative error of any signal, and that along the direction of r, each (4, n)."""
-    top = scene.top()
-    signals = np.stack([_signals(scene, np.minimum(model, top)) for model in Model])
-    true = signals[-1]
+def _top(whisker: Whisker | Profile, tilt: Array, roll: Array) -> Codes:
+    """The lowest model that models all there is, (...)."""
+    whole = Profile.of(whisker)
+    taper = len(whole.arc) == 2 and not np.any(whole.core)
+    laws = np.broadcast_arrays(*[value != 0 for value in vars(whole.law).values()])
+    curved = np.any(laws, axis=0)
+    planar = curved | (tilt != 0) | (not taper)
+    model = np.where(planar, Model.PROFILE, Model.ELASTICA)
+    return np.where(curved & (np.sin(roll) != 0), Model.ROD, model).astype(np.int8)
+
+
+def _biases(
+    scene: tuple[Any, Any, Any, Any, Any], top: Codes, sensed: list[int], angle_unknown: bool
+) -> tuple[Array, Array]:
+    """Largest relative error of any signal, and that along the direction of r, (4, ...) each."""
+    last = int(top.max(initial=0))
+    signals = np.full((4, 3, *top.shape), np.nan)
+    for model in range(last + 1):
+        bent = press_by(*scene, Model(model))
+        for row, name in enumerate(NAMES):
+            signals[model, row] = np.where(bent.held, getattr(bent, name), np.nan)
+    true = np.take_along_axis(signals, top[None, None].astype(np.intp), axis=0)[0]
     with np.errstate(all="ignore"):
-        relative = np.nan_to_num(np.abs(signals / true - 1), nan=np.inf, posinf=np.inf)
-        relative = np.where(np.array([*Model])[:, None, None] < top, relative, 0.0)
+        off = signals / true - 1
+        above = np.arange(4).reshape(-1, *(1,) * (off.ndim - 1)) >= top
+        relative = np.where(above, 0.0, np.nan_to_num(np.abs(off), nan=np.inf, posinf=np.inf))
         worst = relative.max(axis=1)
         if len(sensed) == 1:
             return worst, relative[:, sensed[0]]
-        slopes = _slopes(scene, top)[sensed] / true[sensed][:, None]
-        signed = np.where(relative[:, sensed] > 0, signals[:, sensed] / true[sensed] - 1, 0.0)
-        off = np.abs((_direction(slopes, angle_unknown) * signed).sum(axis=1))
+        slopes = np.moveaxis(signal_jacobian(*scene[:4], roll=scene[4]), (-2, -1), (0, 1))
+        slopes = slopes[sensed] / true[sensed][:, None]
+        signed = np.where(relative > 0, off, 0.0)[:, sensed]
+        along = np.abs((_direction(slopes, angle_unknown) * signed).sum(axis=1))
     # Where the slopes are lost, as at a fold, the worst signal is what there is.
-    return worst, np.where(np.isfinite(off), off, worst)
-
-
-def _signals(scene: SceneRows, model: Codes) -> Array:
-    """Moment, axial and transverse force (3, n) by the model named of each; NaN where lost."""
-    numbers, outcome, _ = press(scene, model, 1e-9)
-    return np.where(outcome == Outcome.HELD, numbers[:3], np.nan)
-
-
-def _slopes(scene: SceneRows, model: Codes, step: float = 1e-5) -> Array:
-    """Derivatives (3, 2, n) of the signals to distance and deflection angle, by differences."""
-    columns = []
-    for dr, dt in ((step * scene.distance, 0.0), (0.0, step * np.abs(scene.push))):
-        ends = [
-            SceneRows.of(scene.rows, scene.distance + s * dr, scene.angle + s * dt,
-                         scene.friction, scene.roll)
-            for s in (1, -1)
-        ]  # fmt: skip
-        up, down = (_signals(end, model) for end in ends)
-        columns.append((up - down) / (2 * (dr + dt)))
-    return np.stack(columns, axis=1)
+    return worst, np.where(np.isfinite(along), along, worst)
 
 
 def _direction(slopes: Array, angle_unknown: bool) -> Array:
-    """The unit vector of relative signals (S, n) that tells of r, from ∂ln s/∂(r, θ_d)."""
+    """The unit vector of relative signals (S, ...) that informs of r, from ∂ln s/∂(r, θ_d)."""
     to_r, to_angle = slopes[:, 0], slopes[:, 1]
     if angle_unknown and len(to_r) == 2:  # also where the two columns are parallel: a ridge
         q: Array = np.stack([to_angle[1], -to_angle[0]])

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util.checks import finite, positive
+from .._util.checks import positive
 from .._util.values import Array
 from ..whisker import Whisker
 from .beam import Rows, resolve
@@ -29,7 +29,6 @@ from .equilibrium import (
     Solved,
     at_points,
     by_rows,
-    friction,
     in_order,
     numbers_of,
     on_whisker,
@@ -64,9 +63,6 @@ def bend(
     >>> print(f"{b.moment:.6e} N m at {np.degrees(b.deflection_angle):.4f} degrees")
     1.461915e-06 N m at 1.4289 degrees
     """
-    arc = positive("arc_length", arc_length, _METRES)
-    load = finite("force", force, "give newtons, such as 1e-5")
-    tilt = friction(friction_angle)
 
     def solve(rows: Rows, s: Array, f: Array, psi: Array) -> Solved:
         n = s.size
@@ -93,7 +89,7 @@ def bend(
         error[good] = np.where(held, signal_error(path, f, given_contact=False), np.nan)
         return numbers, outcome, error
 
-    return by_rows(solve, whisker, length=arc, force=load, angle=tilt)
+    return by_rows(solve, whisker, length=arc_length, force=force, angle=friction_angle)
 
 
 def press(
@@ -124,14 +120,13 @@ def press(
     >>> b.outcome
     array([0, 0, 2], dtype=int8)
     """
-    distance = positive("radial_distance", radial_distance, _METRES)
-    angle = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    tilt = friction(friction_angle)
 
     def solve(rows: Rows, r: Array, theta: Array, psi: Array) -> Solved:
         return press_rows(rows, r, theta, psi, tolerance)
 
-    return by_rows(solve, whisker, length=distance, angle=angle, tilt=tilt)
+    return by_rows(
+        solve, whisker, length=radial_distance, angle=deflection_angle, tilt=friction_angle
+    )
 
 
 def signal_jacobian(
@@ -154,10 +149,7 @@ def signal_jacobian(
     >>> print(f"dM/dr = {slope[0, 0]:.4e} N")
     dM/dr = -8.1500e-05 N
     """
-    distance = positive("radial_distance", radial_distance, _METRES)
-    angle = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    tilt = friction(friction_angle)
-    scenes = Scenes.of(whisker, length=distance, angle=angle, tilt=tilt)
+    scenes = Scenes.of(whisker, length=radial_distance, angle=deflection_angle, tilt=friction_angle)
     out = np.full((3, 2, scenes.length.size), np.nan)
     for part, rows, (r, theta, psi) in scenes.pieces():
         numbers, outcome, _ = press_rows(rows, r, theta, psi, tolerance)
@@ -219,12 +211,7 @@ def flick_past(
     >>> np.degrees(end.deflection_angle).round(3)
     array([ 31.094, -18.613])
     """
-    r = positive("radial_distance", radial_distance, _METRES)
-    tilt = friction(friction_angle)
-    sides = finite("side", side, "write 1 or -1")
-    if np.any(np.abs(sides) != 1):
-        raise ValueError(f"side must be 1 or -1, got {np.ravel(sides)[0]:g}; write side=1.")
-    scenes = Scenes.of(whisker, length=r, tilt=tilt, side=sides)
+    scenes = Scenes.of(whisker, length=radial_distance, tilt=friction_angle, side=side)
     n = scenes.length.size
     at_end, at_peak = np.full((2, 8, n), np.nan)
     errors = np.full((2, n), np.nan)

@@ -25,9 +25,9 @@ from .._util.checks import finite, positive
 from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
-from .contact import TOLERANCE, Model, Outcome
+from .contact import TOLERANCE, Model, Outcome, friction
 from .continuation import zero_load
-from .equilibrium import ROUNDING, Scenes, friction, on_whisker
+from .equilibrium import ROUNDING, Scenes, on_whisker
 from .shape import Profile
 
 _METRES = "give metres, such as 35e-3"
