@@ -212,59 +212,12 @@ def test_the_table_goes_one_way() -> None:
     ("path", "source", "sentence"),
     [
         ("whisker.py", "from . import cues", "whisker.py imports weberwhisk.cues"),
-        ("whisker.py", "from .cues import x", "whisker.py imports weberwhisk.cues"),
-        ("whisker.py", "import weberwhisk.cues", "whisker.py imports weberwhisk.cues"),
-        ("whisker.py", "from weberwhisk.cues import x", "whisker.py imports weberwhisk.cues"),
         ("whisker.py", "import weberwhisk as ww", "whisker.py imports weberwhisk."),
-        ("whisker.py", "from . import Bending", "whisker.py imports weberwhisk."),
-        (
-            "whisker.py",
-            "def f():\n    from . import sensitivity",
-            "whisker.py imports weberwhisk.sensitivity",
-        ),
-        (
-            "whisker.py",
-            "if TYPE_CHECKING:\n    from . import sensitivity",
-            "imports weberwhisk.sensitivity",
-        ),
-        (
-            "whisker.py",
-            "importlib.import_module('.sensitivity', 'weberwhisk')",
-            "imports weberwhisk.sensitivity",
-        ),
-        ("whisker.py", "__import__('weberwhisk.sensitivity')", "imports weberwhisk.sensitivity"),
-        ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
-        ("_util/checks.py", "from ..whisker import x", "checks.py imports weberwhisk.whisker"),
-        ("_util/output.py", "from ..plots import x", "output.py imports weberwhisk.plots"),
-        ("cues/force_map.py", "from ..sensitivity import x", "imports weberwhisk.sensitivity"),
-        (
-            "mechanics/contact.py",
-            "from .elastica import x",
-            "weberwhisk.mechanics.elastica",
-        ),
-        ("mechanics/contact.py", "from . import x", "contact.py imports weberwhisk.mechanics,"),
-        ("mechanics/elastica.py", "from .ladder import bend", "weberwhisk.mechanics.ladder"),
-        (
-            "inference/nested/deep.py",
-            "from ... import sensitivity",
-            "deep.py imports weberwhisk.sensitivity",
-        ),
-        (
-            "sensitivity/jnd.py",
-            "import emcee",
-            "jnd.py imports emcee, which belongs in _util.ensemble alone",
-        ),
+        ("whisker.py", "def f():\n    from . import cues", "whisker.py imports weberwhisk.cues"),
+        ("whisker.py", "if TYPE_CHECKING:\n    from . import cues", "imports weberwhisk.cues"),
+        ("whisker.py", "importlib.import_module('.cues', 'weberwhisk')", "weberwhisk.cues"),
+        ("inference/nested/deep.py", "from ... import sensitivity", "weberwhisk.sensitivity"),
         ("sensitivity/jnd.py", "def f():\n    from arviz.stats import ess", "jnd.py imports arviz"),
-        ("sensitivity/jnd.py", "import arviz_stats", "jnd.py imports arviz_stats"),
-        (
-            "cli.py",
-            "import matplotlib.pyplot as plt",
-            "matplotlib, which belongs in plots",
-        ),
-        ("inference/engine.py", "import matplotlib", "inference/engine.py imports matplotlib"),
-        ("novelty.py", "", "novelty.py is not in the table"),
-        ("mechanics/novelty.py", "", "mechanics/novelty.py is not in the table"),
-        ("novelties/__init__.py", "", "novelties/__init__.py is not in the table"),
         ("novelties/one.py", "", "novelties/one.py is not in the table"),
     ],
 )
@@ -277,32 +230,6 @@ def test_offence_is_found(tmp_path: Path, path: str, source: str, sentence: str)
 def test_imports_that_go_round_are_found(tmp_path: Path) -> None:
     files = {"cues/one.py": "from . import two", "cues/two.py": "def f():\n    from .one import x"}
     assert "Imports go round" in offences(_fake(tmp_path, files))[0]
-
-
-def test_a_good_tree_passes(tmp_path: Path) -> None:
-    files = {
-        "__init__.py": "from .whisker import Whisker\nfrom . import sensitivity",
-        "whisker.py": "import numpy\nfrom ._util.checks import finite",
-        "mechanics/__init__.py": "from .ladder import bend",
-        "mechanics/ladder.py": "from . import closed_form\nfrom .contact import Bending",
-        "cues/one.py": "def f():\n    from .two import x",
-        "cues/two.py": "if TYPE_CHECKING:\n    from .one import x",
-        "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
-        "_util/ensemble.py": "import emcee",
-        "_util/arviz_io.py": "import arviz.stats",
-        "inference/engine.py": "from .._util import checks\nfrom . import x",
-        "inference/x.py": "from weberwhisk.inference.observer import Observer",
-        "plots.py": "def f():\n    import matplotlib.pyplot",
-        "_util/output.py": "from .. import __version__",
-        "commands/bend.py": "import weberwhisk as ww\nfrom .. import cli, plots",
-        "commands/fit.py": "from .._util import output",
-    }
-    assert offences(_fake(tmp_path, files)) == []
-
-
-@pytest.mark.parametrize("name", ["pandas", "scipy.stats"])
-def test_heavy_import_is_found(tmp_path: Path, name: str) -> None:
-    assert name in heavy_after_import(_fake(tmp_path, {"__init__.py": f"import {name}"}))
 
 
 def _fake(folder: Path, files: dict[str, str]) -> Path:

@@ -112,27 +112,6 @@ def test_every_result_is_drawn_says_what_it_found_and_has_html(made: dict[str, A
     pyplot.close()
 
 
-def test_lines_hold_the_numbers(made: dict[str, Any]) -> None:
-    fit, p = made["fit"], made["one reading"]
-    low, high = fit.interval()
-    assert f"k = {fit.weber_fraction:.3f} (95 %: {low:.3f} to {high:.3f})" in repr(fit)
-    assert repr(fit).endswith("DETERMINED>")
-    low, high = 1e3 * p.interval()
-    assert f"r = {1e3 * p.mean:.1f} mm (95 %: {low:.1f} to {high:.1f})" in repr(p)
-    assert repr(p).endswith("converged>")
-    population = made["population"]
-    assert f"{population.interval()[0]:.3f}" in repr(population)
-    assert population.status.name in repr(population)
-    contact = made["contact"]
-    assert f"M = {contact.moment * 1e6:.4g} µN m" in repr(contact)
-    assert "out of reach" in repr(made["lost"])
-    assert "2 of 2 contacts held" in repr(made["curve"])
-    touches = ww.touches(TAP, TAP.read([[30e-3], [30e-3]], seed=1))
-    low, high = touches.interval()
-    assert f"(95 %: {1e3 * low:.1f} to {1e3 * high:.1f}), of 2; converged" in repr(touches)
-    assert "20, 30 mm" in repr(made["plan"]).replace("10, 30", "20, 30")
-
-
 def test_a_curve_has_units_in_its_names_and_the_contact_in_its_index(made: dict[str, Any]) -> None:
     curve, curves = made["curve"], made["curves"]
     assert curve.table.index.tolist() == [10.0, 30.0]

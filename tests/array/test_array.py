@@ -58,12 +58,6 @@ def test_columns_count_from_one_at_the_greek_arc(species: str, median: float) ->
 
 
 @pytest.mark.parametrize("species", ["rat", "mouse"])
-def test_published_coefficients_are_twice_the_measured_ones(species: str) -> None:
-    ratio = [a / published(name, species).coefficient for name, _, a in measured(species)]
-    assert 0.44 < np.median(ratio) < 0.56
-
-
-@pytest.mark.parametrize("species", ["rat", "mouse"])
 def test_base_points_have_their_mean_at_the_origin(species: str) -> None:
     whiskers = WhiskerArray(species).whiskers.values()
     assert np.abs(np.mean([w.base for w in whiskers], axis=0)).max() < 0.4e-3
@@ -300,16 +294,6 @@ def test_no_touch_leaves_the_region_that_is_not_excluded() -> None:
     assert np.isclose(found.bits, -np.log2(left.mean()), atol=0.02)
 
 
-def test_readings_of_no_one_place_are_improbable() -> None:
-    o = observer("C2", "C3", "D2", noise=receptors.Weber(0.02))
-    near, far = o.read([14e-3, -2e-3], seed=1), o.read([28e-3, 0.0], seed=1)
-    assert ww.place(o, near).status is Status.CONVERGED
-    mixed = ww.place(o, {"C2": near["C2"], "D2": far["D2"]})
-    assert mixed.status is Status.IMPROBABLE_READING
-    none = ww.place(observer("C2", angle_sd=0.0), {"C2": [0.0, 0.0]})
-    assert none.status is Status.IMPROBABLE_READING
-
-
 def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() -> None:
     """One pole on both sides of the head; sums of ln densities of −1e5 overflowed."""
     both = ww.ArrayObserver(WhiskerArray("rat", identities=["C2"]).protract(np.radians(40)))
@@ -322,30 +306,6 @@ def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() ->
     assert "no one place explains all readings within 5 sd" in repr(found)
     nowhere = repr(ww.place(both, dict.fromkeys(touches)))
     assert "whiskers touch; no contact; no whisker touches: 94 % of the region" in nowhere
-
-
-def test_taps_take_their_bearing_from_the_azimuth() -> None:
-    """The posterior of a tap is the product of distance by compliance and bearing by azimuth."""
-    o = observer("C2", cue=cues.Compliance())
-    place = np.array([16e-3, -2e-3])
-    reading = o.read(place, seed=5)["C2"]
-    found, follicle = ww.place(o, {"C2": reading}), o.array.whiskers["C2"]
-    prior = {"radial_distance": powerlaw(2, scale=33.6e-3)}
-    own = ww.posterior(ww.Observer(follicle.whisker, cues.Compliance(), prior=prior), reading[:-1])
-    r, theta = o.sensors["C2"].contact(found.places)
-    mean = found.weights @ r
-    assert abs(mean - own.mean) < 3e-3 * own.sd
-    azimuth = o.sensors["C2"].azimuth(theta)
-    assert np.isclose(found.weights @ azimuth, reading[-1], atol=0.02 * o.angle_sd)
-    spread = np.sqrt(found.weights @ (azimuth - reading[-1]) ** 2)
-    assert np.isclose(spread, o.angle_sd, rtol=0.01)
-    turn = np.array([0.0, 2 * np.pi])  # an azimuth a whole turn on is the same
-    assert np.allclose(ww.place(o, {"C2": reading - turn}).mean, found.mean, atol=1e-6)
-    with pytest.warns(UserWarning, match="did you pass degrees"):
-        ww.place(o, {"C2": reading * [1.0, 180 / np.pi]})
-    for call in (found.interval, found.ellipse, found.area):
-        with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 95"):
-            call(95)
 
 
 def test_information_predicts_the_spread_of_posteriors() -> None:
@@ -408,10 +368,3 @@ def test_regions_of_95_per_cent_cover_95_per_cent() -> None:
 def test_places_refuse_what_is_no_reading(make, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         make()
-
-
-def test_arrays_and_places_are_drawn() -> None:
-    o = observer("C1", "C2")
-    assert len(o.array.plot().axes[0].lines) == 3
-    found = ww.place(o, o.read([16e-3, -2e-3], seed=1))
-    assert found.plot().axes[0].get_xlabel() == "to the right (mm)"

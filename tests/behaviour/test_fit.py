@@ -29,9 +29,8 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
-from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
+from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.psychometric import threshold
-from weberwhisk.behaviour.simulate import simulate_responses
 
 ENDS = [0.025, 0.5, 0.975]
 
@@ -249,16 +248,6 @@ def test_threshold_is_the_posterior_of_the_threshold(fit: WeberFit) -> None:
         table.loc[0, ["lower", "comparison", "upper"]].astype(float),
         np.quantile(point, ENDS), atol=0.15 * sd,
     )  # fmt: skip
-
-
-def test_threshold_with_bias_is_where_the_curve_is(fit: WeberFit) -> None:
-    row = fit.threshold(1.0, 0.5, with_bias=True).loc[0]
-    d = fit.posterior.draws()
-    q = -d.bias[:, 0] * d.weber_fraction
-    pse = (1 + q * np.sqrt(2 - q * q)) / (1 - q * q)
-    np.testing.assert_allclose(row[["lower", "upper"]].astype(float), np.quantile(pse, ENDS)[::2],
-                               rtol=1e-3)  # fmt: skip
-    assert fit.threshold(1.0, 0.5).loc[0, "comparison"] == 1.0
 
 
 def test_thresholds_do_not_carry_lapses() -> None:
@@ -529,16 +518,6 @@ def test_one_answer_to_everything_tells_no_weber_fraction(task: str, share: int)
     assert fit_weber(counted([1.1, 1.3], 40, [40, 40])).status is FitStatus.UPPER_BOUND
 
 
-def test_identical_stimuli_leave_the_prior() -> None:
-    fit = fit_weber(counted([1.0], 200, [110]))
-    assert fit.status is FitStatus.UNINFORMED
-    prior = Priors().weber_fraction
-    np.testing.assert_allclose(
-        fit.posterior.quantile("weber_fraction", ENDS), prior.ppf(ENDS), rtol=5e-3
-    )
-    assert any("no difference was ever put" in note for note in fit.notes)
-
-
 def test_no_answers_leave_the_prior() -> None:
     frame = pd.DataFrame({"standard": 1.0, "comparison": [1.1, 0.9], "choice": [None, None]})
     fit = fit_weber(read_trials(frame))
@@ -566,17 +545,6 @@ def test_an_unknown_log_unit_scales_the_answer_and_says_so() -> None:
     assert isinstance(known.encoding, LogEncoding)
     # For small steps the two are the same noise, but for the prior on k.
     assert known.weber_fraction == pytest.approx(0.01 * one.weber_fraction, rel=0.15)
-
-
-def test_duplicated_rows_are_counted_and_said() -> None:
-    """They may be two trials or one: the fit says so and takes them as they stand."""
-    once = simulate_trials(trials_per_level=20, seed=36).table()
-    twice = read_trials(pd.concat([once, once], ignore_index=True))
-    fit = fit_weber(twice)
-    assert "180 rows occur more than once" in fit.report()
-    one, both = fit_weber(read_trials(once)).interval(), fit.interval()
-    assert fit.trials.n_trials == 360
-    assert np.log(both[1] / both[0]) < np.log(one[1] / one[0])
 
 
 def test_mixed_subjects_are_refused() -> None:
@@ -635,16 +603,6 @@ def test_unknown_names_and_bad_priors_are_refused(options: dict, part: str) -> N
     with pytest.raises(ValueError, match=part) as caught:
         fit_weber(simulate_trials(trials_per_level=2, seed=33), **options)
     assert "\n" not in str(caught.value)
-
-
-def test_percent_correct_has_no_bias() -> None:
-    trials = simulate_trials(task="2AFC percent correct", seed=34)
-    fit = fit_weber(trials)
-    assert fit.parameters == ("weber_fraction", "lapse_high")
-    low, high = fit.interval()
-    assert low < 0.1 < high
-    with pytest.raises(ValueError, match="no response bias"):
-        fit_weber(trials, bias="shared")
 
 
 # -- recovery -------------------------------------------------------------------------------------
@@ -714,22 +672,6 @@ def test_the_rat_needs_a_bias_per_standard() -> None:
     assert own.status is FitStatus.DETERMINED
 
 
-def test_a_standard_without_answers_shifts_no_bias_per_standard() -> None:
-    trials = simulate_trials(
-        standards=[1.0, 2.0, 4.0], bias=[0.0, 1.5, -1.5], trials_per_level=8, seed=1
-    )
-    frame = trials.frame.copy()
-    frame.loc[frame["standard"] == 1.0, "count"] = np.nan
-    fit = fit_weber(replace(trials, frame=frame), bias="per standard")
-    alone = fit_weber(trials.select(standard=[2.0, 4.0]), bias="per standard")
-    found, meant = (f.threshold(proportion=0.5, with_bias=True) for f in (fit, alone))
-    pd.testing.assert_frame_equal(found, meant)
-    assert fit.psychometric([4.0], 4.0).equals(alone.psychometric([4.0], 4.0))
-    assert fit.to_arviz().posterior["standard"].values.tolist() == [2.0, 4.0]
-    with pytest.raises(ValueError, match="standard 1 has no answers in the table"):
-        fit.threshold(1.0, with_bias=True)
-
-
 def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
     point = threshold(
         task_named("same-different"),
@@ -741,25 +683,3 @@ def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
     )
     assert np.isfinite(point[1])
     assert np.isinf(point[0])
-
-
-@pytest.mark.parametrize("encoding", [LogEncoding(2.0), IdentityEncoding()])
-def test_simulated_responses_are_on_the_scale_of_their_encoding(encoding: Encoding) -> None:
-    own = simulate_trials(encoding=encoding, subject="a", trials_per_level=1, seed=1)
-    truth = {"weber_fraction": [0.1], "lapse_low": [0.0], "lapse_high": [0.0], "bias": [0.0]}
-    animals = pd.DataFrame({"subject": ["a"], **truth})
-    again = simulate_responses(own.frame, animals, encoding=encoding, seed=1)
-    assert (again.scale, again.log_unit) == (own.scale, own.log_unit)
-
-
-def test_a_weber_fraction_that_was_given_is_reported() -> None:
-    """The data were said to determine it."""
-    trials = simulate_trials(trials_per_level=10, seed=1)
-    fit = fit_weber(trials, priors={"weber_fraction": 0.1})
-    assert fit.interval() == (0.1, 0.1)
-    assert "which was given" in fit.report()
-    assert (fit.status, fit.status.ok, fit.notes) == (FitStatus.GIVEN, True, ())
-    assert "determine" not in json.dumps(fit.to_dict()) + fit.report()
-    one_sided = replace(trials, frame=trials.frame.assign(count=trials.frame["n"]))
-    fit = fit_weber(one_sided, priors={"weber_fraction": 0.1})
-    assert fit.status is FitStatus.ONE_SIDED

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import load
-from scipy.special import ndtr
 from short_forms import slow_but
 
 import weberwhisk as ww
@@ -18,7 +16,6 @@ from weberwhisk import cli
 from weberwhisk.behaviour import (
     CueEncoding,
     Trials,
-    methods_paragraph,
     response_probability,
     simulate_moving,
     task_named,
@@ -26,8 +23,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
-from weberwhisk.inference import default_noise
-from weberwhisk.inference.one_distance import ReadingGroup, one_distance
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
@@ -77,69 +72,6 @@ def test_the_likelihood_is_that_of_brute_force_over_the_places(
     assert off.max() < worst
     assert off[cells.sd_2 < 1e-3].max() < usual
     np.testing.assert_allclose(p + q, 1, atol=1e-12)
-
-
-def _touches(
-    cue: ww.cues.Cue, k: float, true: np.ndarray, seed: int
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Radial distances and their posterior masses, of contacts sensed with noise k."""
-    rng, whisker = np.random.default_rng(seed), ENCODING.observer.whisker
-    observer = ww.Observer(whisker, cue, default_noise(whisker, cue, k))
-    theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
-    y = observer.read(np.stack([true, theta], axis=-1), rng)
-    found = []
-    for one in one_distance([ReadingGroup(observer, y, None, np.arange(len(y)))], len(y)):
-        mass = one.density * np.gradient(one.r)
-        found.append((one.r, mass / mass.sum()))
-    return found
-
-
-@pytest.mark.parametrize("each", [9, pytest.param(30, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    ("cue", "k", "most"),
-    [
-        (ww.cues.ForceMap(), 0.1, 0.25),
-        (ww.cues.ForceMap(["moment", "transverse_force"]), 0.03, 0.05),
-    ],
-)
-def test_means_and_sds_say_of_k_what_whole_posteriors_do(
-    cue: ww.cues.Cue, k: float, most: float, each: int
-) -> None:
-    """Choices summed over every touch's own density of distance, skew and all, in sds of ln k."""
-    nominal = ww.simulate_trials(standards=20e-3, encoding=ENCODING, trials_per_level=each, seed=1)
-    trials, located = simulate_moving(
-        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.1e-3, seed=2
-    )
-    touches = _touches(cue, k, 1e-3 * located["true_mm"].to_numpy(), seed=3)
-    mean = np.array([r @ p for r, p in touches])
-    sd = np.array([np.sqrt(p @ (r - m) ** 2) for (r, p), m in zip(touches, mean, strict=True)])
-    placed = with_distances(
-        trials, located.assign(radial_distance_mm=1e3 * mean, sd_mm=1e3 * sd), ENCODING
-    )
-    model, _, _ = build_model(placed, ENCODING, None, None, "weber", None)
-    ks, none = np.geomspace(0.04, 0.3, 16), np.full(16, 1e-9)
-    near = model.log_likelihood(ks, none, none, np.zeros((16, 1)))
-    at = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy().T.ravel()
-    scatter = estimate_scatter(mean - at, sd)
-    n, exact = len(trials), np.zeros(16)
-    for i, answer in enumerate(trials.frame["count"]):
-        (r1, p1), (r2, p2) = (
-            (r, p * np.exp(-0.5 * ((r - at[j] - scatter.offset) / scatter.sd) ** 2))
-            for j, (r, p) in ((i, touches[i]), (n + i, touches[n + i]))
-        )
-        m1, m2, s1, s2 = (f(r) for f in (ENCODING.mean, ENCODING.sd_per_weber_fraction)
-                          for r in (r1, r2))  # fmt: skip
-        d = ENCODING.direction * (m2 - m1[:, None]) / np.hypot(s1[:, None], s2)
-        p = np.einsum("i,kij,j->k", p1, ndtr(d / ks[:, None, None]), p2) / p1.sum() / p2.sum()
-        exact += np.log(p if answer else 1 - p)
-    moments = []
-    for log in (near, exact):
-        weight = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-        moments.append(
-            (weight @ np.log(ks), np.sqrt(weight @ (np.log(ks) - weight @ np.log(ks)) ** 2))
-        )
-    assert abs(moments[0][0] - moments[1][0]) < most * moments[1][1]
-    assert moments[0][1] == pytest.approx(moments[1][1], rel=0.1)
 
 
 @cache
@@ -234,17 +166,6 @@ def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
                      priors=KNOWN),
     ):  # fmt: skip
         assert given.weber_fraction == pytest.approx(fit.weber_fraction, rel=1e-9)
-
-
-def test_an_angle_that_the_cue_does_not_know_is_as_located(tmp_path) -> None:
-    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
-    trials, located = session(4)
-    few = replace(trials, frame=trials.frame.iloc[::30])
-    felt = contacts(located[located["trial"].isin(few.frame["trial"])], observer, 5)
-    felt.to_csv(tmp_path / "contacts.csv", index=False)
-    fit = ww.fit_weber(few, observer=observer, distances=tmp_path / "contacts.csv")
-    assert fit.encoding.deflection_angle == pytest.approx(0.2, abs=0.05)
-    assert "located" in fit.report()
 
 
 def test_scatter_is_found_by_maximum_likelihood() -> None:
@@ -372,19 +293,3 @@ def test_the_command_takes_a_table_of_distances(tmp_path, capsys, monkeypatch) -
     code, _, err = _run([*args[:4], *maps])
     assert code == 2
     assert "needs the whisker" in err
-
-
-def test_located_trials_are_read_back_compared_and_described(tmp_path) -> None:
-    nominal = ww.simulate_trials(
-        standards=[15e-3, 35e-3], encoding=ENCODING, trials_per_level=2, seed=1
-    )
-    trials, located = simulate_moving(
-        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.3e-3, seed=2
-    )
-    measured = with_distances(trials, located, ENCODING)
-    again = ww.read_trials(measured.to_csv(tmp_path / "measured.csv"))
-    pd.testing.assert_frame_equal(again.frame, measured.frame)
-    fit = ww.fit_weber(again, encoding=ENCODING, priors=KNOWN)
-    assert "Stimuli are where the touches were located" in methods_paragraph(fit)
-    with pytest.raises(ValueError, match="column 'stimulus_1_sd', rows 1, 2, 3 and 33 more: -1 is"):
-        ww.read_trials(measured.table().assign(stimulus_1_sd=-1.0))

@@ -17,7 +17,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.simulate import simulate_responses
-from weberwhisk.behaviour.trials import data_package, describe_table, joined
+from weberwhisk.behaviour.trials import data_package, describe_table
 
 
 def digest(path: Path) -> str:
@@ -35,14 +35,6 @@ def test_the_same_seed_gives_the_same_bytes_everywhere(tmp_path: Path) -> None:
     assert make("a", 11) == make("b", 11) != make("c", 12)
     # Written down once: other versions of Python and NumPy must give it too.
     assert make("d", 11) == "e06f7670ff54ea5d"
-
-
-def test_seeds_of_every_kind() -> None:
-    tables = [
-        simulate_trials(seed=seed).frame
-        for seed in (5, np.random.SeedSequence(5), np.random.default_rng(5))
-    ]
-    assert all(tables[0].equals(t) for t in tables)
 
 
 def test_the_design_is_balanced() -> None:
@@ -186,15 +178,6 @@ def test_a_population_has_the_spread_asked_for() -> None:
 def test_impossible_populations_are_refused(options: dict, part: str) -> None:
     with pytest.raises(ValueError, match=part):
         simulate_population(**{"subjects": 2, "seed": 1, **options})
-
-
-def test_tables_of_different_kinds_are_not_joined() -> None:
-    linear, log = simulate_trials(seed=1), simulate_trials(encoding=LogEncoding(), seed=1)
-    assert len(joined([linear, linear])) == 2 * len(linear)
-    with pytest.raises(ValueError, match="tables of 2 kinds"):
-        joined([linear, log])
-    with pytest.raises(ValueError, match="no tables"):
-        joined([])
 
 
 def test_a_data_package_names_every_column() -> None:

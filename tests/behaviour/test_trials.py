@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -296,30 +295,6 @@ def test_semicolons_and_a_byte_order_mark(tmp_path: Path) -> None:
 # -- trouble --------------------------------------------------------------------------------------
 
 
-def test_a_level_without_trials_is_noted_and_says_nothing() -> None:
-    counts = pd.DataFrame(
-        {"standard": 1.0, "comparison": [0.9, 1.1, 1.2], "n": [5, 5, 0], "n_greater": [1, 4, 0]}
-    )
-    trials = read_trials(counts)
-    assert trials.cells().stimulus_2.tolist() == [0.9, 1.1]
-    assert "1 rows hold a level without trials" in trials.notes[0]
-
-
-@pytest.mark.parametrize("factor", [1e-6, 1e6])
-def test_the_unit_of_a_magnitude_changes_nothing_but_itself(factor: float) -> None:
-    rng = np.random.default_rng(3)
-    frame = pd.DataFrame({"stimulus_1": [1.0, 4.0, 4.0, 9.0] * 5, "stimulus_2": [4.0, 1, 9, 4] * 5})
-    frame["choice"] = rng.integers(0, 2, 20)
-    scaled = frame.assign(
-        stimulus_1=frame.stimulus_1 * factor, stimulus_2=frame.stimulus_2 * factor
-    )
-    one, other = read_trials(frame).cells(), read_trials(scaled).cells()
-    for name in ("standard", "stimulus_1", "stimulus_2"):
-        np.testing.assert_allclose(getattr(other, name), factor * getattr(one, name), rtol=1e-11)
-    assert other.n.tolist() == one.n.tolist()
-    assert other.count.tolist() == one.count.tolist()
-
-
 @pytest.mark.parametrize(
     ("factor", "part"), [(1e-6, "no radial distance is above"), (1e6, "beyond")]
 )
@@ -331,25 +306,6 @@ def test_distances_in_another_unit_are_refused(factor: float, part: str) -> None
     lines = refusal(frame, whisker=whisker).splitlines()
     assert len(lines) == 2
     assert all(part in line and "write distances in metres" in line for line in lines)
-
-
-def test_a_selection_has_its_own_notes(tmp_path: Path) -> None:
-    """One animal's report said 16 trials without an answer, and then the 92 of the file."""
-    text = (
-        "subject,trial,stimulus_1,stimulus_2,choice\n"
-        "a,1,1,1.1,\na,1,1,1.1,\nb,1,1,1.1,1\n\nb,1,1,1.1,1\nb,2,1,0.9,\n"
-    )
-    trials = read_trials(table(tmp_path, text))
-    assert trials.notes[0].startswith("3 trials have no answer")
-    assert "the first in rows 2, 5" in trials.notes[1]
-    one = trials.select(subject="b")
-    assert one.n_missing == 1
-    assert one.notes[0].startswith("1 trials have no answer")
-    assert one.notes[1].startswith("1 rows occur more than once, the first in row 5")
-    assert len(one.notes) == 2
-    assert trials.select(subject="b", trial=1).notes == one.notes[1:]
-    said = replace(trials, notes=("The animal was ill.", *trials.notes))
-    assert said.select(subject="b").notes == ("The animal was ill.", *one.notes)
 
 
 @pytest.mark.parametrize("name", ["\x1b[31mred", "a\x07", "a\tb", "zero\u200bwidth"])
@@ -438,14 +394,3 @@ def test_tables_of_pandas_own_types_and_dates() -> None:
     numbered = table.assign(session=pd.array([1, 1, 2, None], dtype="Int64"))
     with pytest.raises(ValueError, match=r"row 4: empty; name the session"):
         read_trials(numbered)
-
-
-def test_a_label_may_stand_for_no_answer() -> None:
-    table = pd.DataFrame({"stimulus_1": [1.0] * 3, "stimulus_2": [1.2, 0.8, 1.1], "choice": "L"})
-    table.loc[1:, "choice"] = ["R", "timeout"]
-    labels = {"L": "second", "R": "first"}
-    with pytest.raises(ValueError, match=r"'timeout' is not an answer; .*'none' is for no"):
-        read_trials(table, choice_labels=labels)
-    trials = read_trials(table, choice_labels=labels | {"timeout": "none"})
-    assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
-    assert (trials.n_trials, trials.n_missing) == (2, 1)

@@ -10,7 +10,6 @@ from cue_checks import (
     prior_draws,
     small_noise_limit,
 )
-from scipy import stats
 from short_forms import slow_but
 
 import weberwhisk as ww
@@ -144,16 +143,6 @@ def test_events_and_forces_are_fused():
     assert fisher_jnd(observer, 44e-3) < fisher_jnd(tap, 44e-3)
 
 
-def test_two_taps_are_one_of_half_the_variance():
-    """Independent readings of one kind: the information doubles."""
-    r = np.array([10e-3, 30e-3, 45e-3])
-    one, two = (fisher_jnd(ww.Observer(W, c), r) for c in (Compliance(), TWO_TAPS))
-    assert two == pytest.approx(one / np.sqrt(2), rel=1e-12)
-    table = ww.fused_jnds(ww.Observer(W, TWO_TAPS), r)
-    assert table["gain"].to_numpy() == pytest.approx(np.full(3, np.sqrt(2)))
-    assert table["optimal_mm"].to_numpy() == pytest.approx(table["together_mm"].to_numpy())
-
-
 def test_intervals_cover_in_one_dimension():
     covers(ww.Observer(W, CUES[2]), n=600)
 
@@ -199,19 +188,6 @@ def test_cues_that_share_a_prior_tell_less_together_than_optimal():
 
 
 # -- bits --------------------------------------------------------------------------------------
-
-
-def test_information_is_that_of_the_closed_form_at_small_noise():
-    """⟨log₂(R/(Δ√(2πe)))⟩ with Δ = k r(1 − r/A)/√(1 + 2k²), over a flat prior."""
-    k, low, high = 0.01, 5e-3, 45e-3
-    prior = {"radial_distance": stats.uniform(low, high - low)}
-    observer = ww.Observer(W, Compliance(), Weber(k), prior)
-    r = low + (np.arange(10_000) + 0.5) / 10_000 * (high - low)
-    jnd = k * r * (1 - r / W.apex_distance) / np.sqrt(1 + 2 * k**2)
-    expected = np.mean(np.log2((high - low) / (jnd * np.sqrt(2 * np.pi * np.e))))
-    bits = ww.information(observer, n_readings=400, seed=1)
-    assert abs(bits.value - expected) < 4 * bits.error
-    assert bits.error < 0.1
 
 
 @pytest.mark.parametrize("cue", [Compliance(), Vibration(2)], ids=repr)

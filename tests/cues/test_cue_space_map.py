@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cue_checks import brute_force, keeps_the_protocol, small_noise_limit
-from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -15,7 +14,6 @@ from weberwhisk.cues import (
     Friction,
     Fused,
     SpaceMap,
-    UnknownCurvature,
     UnknownHinge,
     UnknownRoll,
     UnknownStiffness,
@@ -25,7 +23,7 @@ from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.mechanics import rod
 from weberwhisk.mechanics.curved_surface import SIX
-from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+from weberwhisk.receptors import GeneralisedWeber, Joint
 from weberwhisk.sensitivity import prior_draws
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
@@ -60,17 +58,6 @@ def test_posteriors_have_the_propagated_width_at_small_noise():
     small_noise_limit(ww.Observer(W, SpaceMap(), noise), CONTACT[:2], draws=10, bias=5e-3)
 
 
-def test_where_there_is_no_contact_the_outcome_says_so():
-    signals, outcome = SpaceMap().signals(W, np.array([[60e-3, 0.1, 0.0], [45e-3, 1.0, 0.0]]))
-    assert outcome.tolist() == [Outcome.OUT_OF_REACH, Outcome.FLICKED_PAST]
-    assert np.isnan(signals).all()
-    cylinder = W.cylinder()
-    signals, _ = SpaceMap().signals(cylinder, CONTACT[0])
-    contact, outcome = SpaceMap().contact(cylinder, [0.0, signals[0]], signals[1])
-    assert outcome == Outcome.OUT_OF_REACH
-    assert np.isnan(contact).all()
-
-
 @pytest.mark.parametrize(
     "contact",
     [[20e-3, 0.2, np.nan], [np.nan, 0.2, 0.1], [0.0, 0.2, 0.1], [20e-3, 3.0, 0.1]],
@@ -88,15 +75,6 @@ def test_readings_that_are_no_numbers_have_no_contact(bad):
     place, outcome = SpaceMap().contact(W, [[bad, 1e-6], [1e-6, 2e-6]], [1e-5, bad])
     assert np.isnan(place).all()
     assert (outcome == Outcome.OUT_OF_REACH).all()
-
-
-def test_readings_of_the_wrong_shape_or_kind_are_refused():
-    for cue, words in ((SpaceMap(), "moment"), (ForceMap(), "signals")):
-        more = (1e-5,) if isinstance(cue, SpaceMap) else ()
-        with pytest.raises(ValueError, match=f"{words} must have 2 numbers"):
-            cue.contact(W, [1e-6], *more)
-        with pytest.raises(ValueError, match=f"{words} must be a number"):
-            cue.contact(W, ["a", 1.0], *more)
 
 
 def rod_signals(whisker, place, friction=0.0):
@@ -298,40 +276,6 @@ def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it()
         assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rubs", [False, True])
-def test_an_unknown_friction_or_curvature_mixes_posteriors_of_those_that_are_known(rubs):
-    """By Gauss's rules over whiskers with tables of their own."""
-    z, mass = np.polynomial.legendre.leggauss(12) if rubs else np.polynomial.hermite_e.hermegauss(9)
-    known: list[ww.Observer]
-    if rubs:
-        value, cue = np.arctan(0.48) * z, Friction(SpaceMap())
-        known = [ww.Observer(CURVED, Friction(SpaceMap(), psi), FLOORED) for psi in value]
-    else:
-        value, cue = z, UnknownCurvature(SpaceMap(), 1.0)
-        known = [
-            ww.Observer(replace(CURVED, curvature=8.0 + more), SpaceMap(), FLOORED) for more in z
-        ]
-    observer = ww.Observer(CURVED, cue, FLOORED)
-    reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
-    found, each = ww.posterior(observer, reading), [ww.posterior(o, reading) for o in known]
-    assert found.status == ww.Status.CONVERGED
-    weight = mass * np.exp([float(p.log_evidence) - float(found.log_evidence) for p in each])
-    weight /= weight.sum()
-    for name, estimate in found.estimates.items():
-        if name == observer.unknowns[-1]:
-            mean, sd = value, 0 * value
-        else:
-            mean, sd = np.array([p.estimates[name][:2] for p in each]).T
-        first = weight @ mean
-        width = np.sqrt(weight @ (sd**2 + (mean - first) ** 2))
-        assert estimate.mean == pytest.approx(first, abs=2e-3 * width)
-        assert estimate.sd == pytest.approx(width, rel=2e-3)
-    low, high = found.interval(0.9)
-    draws = found.draws_of(5000, 1)[0][..., 0]
-    assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.9, abs=0.01)
-
-
 def test_what_space_does_not_know_is_refused():
     hinged = replace(CURVED, hinge_stiffness=1e-4)
     for cue in (Friction(SpaceMap(), 0.2), UnknownHinge(SpaceMap(), 0.3)):
@@ -356,33 +300,6 @@ def test_what_space_does_not_know_is_refused():
         UnknownRoll(SpaceMap(), 0.0)
     with pytest.raises(ValueError, match="sums over five take too long"):
         UnknownStiffness(UnknownRoll(SpaceMap(), 0.3))
-
-
-@pytest.mark.slow  # layers of two unknowns in space take a minute
-def test_directions_are_read_on_a_circle():
-    """Directions on either side of π gave an azimuth of 0, on the other side of the whisker."""
-    observer = ww.Observer(W, SpaceMap())
-    shape = observer.signals([30e-3, 0.3, 0.0])[0]
-    pairs = np.array([[0.0, 0.1], [3.13, -3.12], [-3.12, 3.13], [5.0, -1.3], [-1.2, 5.0]])
-    found = ww.posterior(observer, np.array([[*shape[:3], *pair] for pair in pairs]))
-    means = np.exp(1j * pairs).sum(axis=1)
-    off = np.angle(np.exp(1j * found.estimates["azimuth"].mean) / means)
-    assert off == pytest.approx(0, abs=1e-6)
-    assert found.estimates["azimuth"].sd == pytest.approx(0.1 / np.sqrt(2), rel=1e-4)
-    assert np.all(found.status == ww.Status.CONVERGED)
-    low, high = found.interval(0.95, of="azimuth").T
-    assert np.all(
-        (low < found.estimates["azimuth"].mean) & (found.estimates["azimuth"].mean < high)
-    )
-    about = {"azimuth": stats.norm(3.0, 0.3)}
-    own = ww.Observer(W, SpaceMap(), prior=about)
-    turned = own.checked_reading([*shape[:3], -3.12, 3.13])[3:]
-    assert turned == pytest.approx([2 * np.pi - 3.12, 3.13])
-    # A range with ends keeps what noise carries beyond them.
-    curved = ww.Observer(CURVED, SpaceMap())
-    assert curved.checked_reading([*shape[:3], 3.2, -3.1])[3:] == pytest.approx(
-        [3.2, 2 * np.pi - 3.1]
-    )
 
 
 def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
@@ -490,25 +407,6 @@ def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
     assert low < -np.pi < high or low < np.pi < high
 
 
-def test_a_tip_that_is_pushed_straight_in_space_is_outside_the_domain():
-    """In the plane of curvature, against it: beyond where any observer has a contact."""
-    bowed = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=12.0)
-    mirrored = replace(bowed, curvature=-12.0)
-    noise = Joint([GeneralisedWeber(0.03, floor=1e-10), GeneralisedWeber(0, floor=0.03)], [3, 2])
-    observer = ww.Observer(bowed, SpaceMap(), noise)
-    force = np.linspace(0, 3e-3, 200)[1:] * bowed.force_scale
-    bent = ww.bend(mirrored, bowed.length * (1 - 1e-9), force)
-    far = np.argmax(np.where(bent.held, bent.radial_distance, 0.0))
-    assert bent.radial_distance[far] > 1.003 * observer.reach[1]
-    sizes = [bent.moment[far], bent.axial_force[far], bent.transverse_force[far]]
-    found = ww.posterior(observer, [*sizes, np.pi, np.pi])  # on the very end of the azimuth's prior
-    assert bent.radial_distance[far] - found.mean > 4 * found.sd
-    assert found.status == ww.Status.OUTSIDE_DOMAIN
-    assert "a tip pushed straight" in found.outside_domain
-    inside = observer.read(np.tile([0.9 * observer.reach[1], 0.1, 2.8], (3, 1)), seed=1)
-    assert (ww.posterior(observer, inside).status == ww.Status.CONVERGED).all()
-
-
 @pytest.mark.parametrize("shape", [pytest.param(W, marks=pytest.mark.slow), ww.Profile.of(W)])
 def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_has_no_floor(shape):
     """Of a straight profile its rounding errors were read: 29.6 ± 0.5 mm, converged."""
@@ -527,9 +425,3 @@ def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_
     )
     assert abs(found.mean - without.mean) < 2e-3 * without.sd
     assert np.isclose(found.sd, without.sd, rtol=2e-3)
-
-
-def test_directions_of_weber_noise_alone_are_refused():
-    """They would be known exactly where they are zero."""
-    with pytest.raises(ValueError, match="moment_direction and force_direction changes within"):
-        ww.Observer(CURVED, SpaceMap(), Weber(0.1))

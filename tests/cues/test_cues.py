@@ -97,33 +97,6 @@ def test_the_force_map_of_a_cylinder_has_no_inverse():
     assert outcome[0] == Outcome.OUT_OF_REACH
 
 
-@pytest.mark.parametrize("cue", CUES, ids=repr)
-def test_coordinates_go_there_and_back(cue):
-    observer = ww.Observer(W, cue)
-    contact = contacts(cue)
-    x = observer.coordinates(contact)
-    back, log_jacobian = observer.contact(x)
-    assert np.allclose(back, contact, rtol=1e-9)
-    h = 1e-6
-    columns = [
-        (observer.contact(x + h * e)[0] - observer.contact(x - h * e)[0]) / (2 * h)
-        for e in np.eye(contact.shape[1])
-    ]
-    determinant = np.linalg.det(np.stack(columns, axis=-1))
-    assert np.allclose(np.log(np.abs(determinant)), log_jacobian, atol=1e-6)
-
-
-@pytest.mark.parametrize("cue", CUES, ids=repr)
-def test_no_coordinates_leave_the_held_contacts(cue):
-    observer = ww.Observer(W, cue)
-    x = np.random.default_rng(3).uniform(-12, 4, (3000, len(cue.unknowns)))
-    _, outcome = observer.signals(observer.contact(x)[0])
-    assert np.mean(outcome == Outcome.HELD) > 0.999  # the rest is rounding at the very edge
-    value = observer.log_density(x, np.ones(len(cue.signal_names)))
-    assert not np.isnan(value).any()
-    assert np.all(value < np.inf)
-
-
 def test_priors_are_used_and_bound_the_reach():
     prior = {
         "radial_distance": stats.uniform(10e-3, 20e-3),

@@ -118,28 +118,6 @@ def test_information_after_trials_is_that_of_brute_force():
 # -- the best scheme -----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_best_scheme_beats_a_plain_one_in_simulation():
-    limits = Constraints(nearest=8e-3, farthest=46e-3, step=0.1e-3, easy_share=0.15)
-    chosen = best_scheme(
-        (TAPERED, CYLINDRICAL), constraints=limits, standards=2, pairs=2, trials=180
-    )
-    best = chosen.scheme
-    limits.check(best, TAPERED.encoding)
-    # The value is what four in five experiments reach, by simulation.
-    assert chosen.value == chosen.table["value"].max()
-    other = ww.power(best, (TAPERED, CYLINDRICAL), runs=512, seed=9).runs
-    reached = other.groupby("truth")["log_bayes_factor"].quantile(0.2).min()
-    assert abs(chosen.value - reached) < 0.6
-    plain = Scheme.spaced(TAPERED.encoding, [15e-3, 25e-3, 35e-3], trials=10)
-    assert best.n_trials <= plain.n_trials == 180
-    found = [
-        ww.power(s, (TAPERED, CYLINDRICAL), runs=96, seed=1).table["power"].min()
-        for s in (best, plain)
-    ]
-    assert found[0] > found[1] + 0.15
-
-
 def test_expected_intervals_are_those_of_fits():
     """Of the answers expected of every animal, where there are enough for a normal posterior."""
     scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 40e-3], trials=200, levels=WIDE)

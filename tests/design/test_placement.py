@@ -12,7 +12,6 @@ from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
-    CueEncoding,
     IdentityEncoding,
     LogEncoding,
     Priors,
@@ -22,7 +21,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.design import (
     BayesianPlacer,
-    Constraints,
     Hypothesis,
     Scheme,
     Staircase,
@@ -99,19 +97,6 @@ def test_probabilities_are_those_of_the_evidence():
     share = 1 / (1 + np.exp(log[1] - log[0]))
     assert placer.probabilities["tapered"] == pytest.approx(share, abs=0.01)
     assert sum(placer.probabilities.values()) == pytest.approx(1)
-
-
-def test_what_was_shown_counts_and_not_what_was_proposed():
-    shown = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=2)
-    for comparison, choice in ((1.123, 1), (0.9, 0), (1.05, 1)):
-        shown.next()
-        shown.record(1.01, comparison, choice)
-    frame = shown.trials().frame
-    assert frame["stimulus_2"].tolist() == [1.123, 0.9, 1.05]
-    assert frame["stimulus_1"].tolist() == [1.01] * 3
-    assert frame["standard"].tolist() == [1.0] * 3
-    fit = shown.fits()["Weber"]
-    assert shown.weber_fraction == pytest.approx(fit.weber_fraction, rel=0.02)
 
 
 # -- the objective -------------------------------------------------------------------------------
@@ -246,18 +231,6 @@ def test_rules_settle_where_they_should(rule, share, animals):
     assert stats.norm.cdf(stats.norm.ppf(share)) == pytest.approx(share)
 
 
-def test_a_staircase_ends_and_its_trials_are_fitted():
-    scheme = lattice(PLAIN.encoding, [1.0, 2.0])
-    staircase = Staircase(PLAIN, scheme, turns=4, seed=2)
-    answer = animal(PLAIN, seed=3)
-    while not staircase.finished:
-        trial = staircase.next()
-        staircase.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
-    assert staircase.finished == "every track has turned 4 times"
-    assert staircase.fits()["Weber"].trials.n_trials == staircase.n_trials
-    assert np.isnan(Staircase(PLAIN, scheme, rule="1-up/1-down").weber_fraction)
-
-
 # -- the trials saved ----------------------------------------------------------------------------
 
 
@@ -315,18 +288,3 @@ def test_bad_input_in_one_sentence():
             Staircase(PLAIN, scheme, **arguments)
     with pytest.raises(ValueError, match="comparisons on one side only"):
         Staircase(PLAIN, Scheme([1.0], [[0.1, 0.2]]))
-
-
-def test_a_lattice_stays_where_the_animal_and_the_pole_can_go():
-    encoding = CueEncoding(ww.Observer(W, ww.cues.Compliance(), ww.receptors.Weber(1.0)), unit=1e-3)
-    scheme = lattice(encoding, [10.0, 30.0], Constraints(5.0, 40.0, 0.5))
-    levels = np.concatenate(scheme.comparisons)
-    assert levels.min() >= 5
-    assert levels.max() <= 40
-    assert np.allclose(levels / 0.5, np.round(levels / 0.5))
-    assert not np.any(np.isin(levels, [10.0, 30.0]))
-    assert max(lattice(encoding, [48.0]).comparisons[0]) < 50
-    with pytest.raises(ValueError, match="standard 40 is left without comparisons on both sides"):
-        lattice(encoding, [40.0], Constraints(5.0, 40.0))
-    with pytest.raises(ValueError, match="standard 60 mm is off the whisker"):
-        lattice(encoding, [60.0])

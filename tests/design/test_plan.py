@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 from short_forms import short_or_full
 
-from weberwhisk import Observer, Whisker, plan_experiment, plots, read_plan, write_plan
+from weberwhisk import Observer, Whisker, plan_experiment, plots, read_plan
 from weberwhisk._util.output import csv_text
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
-from weberwhisk.behaviour.encodings import ConstantNoise, Encoding
+from weberwhisk.behaviour.encodings import Encoding
 from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
@@ -36,7 +36,6 @@ from weberwhisk.design import (
     Scheme,
     SubjectPopulation,
     cues,
-    information,
     noises,
     plan_json,
     taper,
@@ -110,18 +109,6 @@ def test_every_list_holds_the_scheme_and_is_balanced(
             assert (session["block"].diff().iloc[1:] >= 0).all()
 
 
-def test_a_plan_refuses_encodings_in_another_unit_than_metres() -> None:
-    # Its lists would have said 20000 mm.
-    encoding = CueEncoding(Observer(Whisker(50e-3, 100e-6, 5e-6), Compliance()), unit=1e-3)
-    scheme = Scheme([20.0], [-2.0, 2.0])
-    one, two = Hypothesis("mm", encoding), Hypothesis("constant", ConstantNoise(encoding, 1.0))
-    for h in (one, two):
-        with pytest.raises(ValueError, match=r"distances in metres.* in units of 0\.001 m"):
-            Plan(scheme, [h], Goal(half_width=0.2))
-        with pytest.raises(ValueError, match=r"in units of 0\.001 m"):
-            information([h], [20.0], [2.0])
-
-
 @settings(max_examples=20)
 @given(even_schemes(), st.integers(2, 6), st.integers(0, 99))
 def test_the_right_answer_cannot_be_foreseen_from_what_went_before(
@@ -133,19 +120,6 @@ def test_the_right_answer_cannot_be_foreseen_from_what_went_before(
         # Odd numbers of trials leave a level of each standard uneven, at most.
         assert abs((sides == 1).sum() - (sides == 2).sum()) <= len(scheme.standards)
         assert max(runs(sides)) <= longest
-
-
-def test_after_two_right_answers_alike_or_not_either_may_come() -> None:
-    """No rule of two trials back earns much more than guessing: 12 000 trials, sd 0.005 a share."""
-    scheme = Scheme(STANDARDS, OFFSETS, 110, 6)
-    lists = trial_lists(scheme, trials_per_session=400, seed=5)
-    changes: dict[bool, list[bool]] = {True: [], False: []}
-    for _, session in lists.groupby(["subject", "session"]):
-        sides = session["greater"].tolist()
-        for a, b, c in zip(sides, sides[1:], sides[2:], strict=False):
-            changes[a == b].append(b != c)
-    assert abs(np.mean(changes[True]) - 0.5) < 0.055
-    assert abs(np.mean(changes[False]) - 0.5) < 0.055
 
 
 def test_lists_come_back_with_their_seed_and_each_animal_keeps_its_own() -> None:
@@ -287,11 +261,6 @@ def plan() -> Plan:
         runs=4,
         seed=7,
     )
-
-
-@pytest.fixture(scope="module")
-def written(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_plan(plan, tmp_path_factory.mktemp("plan") / "a")
 
 
 def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path) -> None:
@@ -508,28 +477,6 @@ def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
 # -- what is expected ----------------------------------------------------------------------------
 
 
-@short_or_full("n", 14, 30)
-def test_expected_intervals_are_those_of_typical_simulated_animals(n: int) -> None:
-    """The one fit to expected answers against the median of fits to simulated ones."""
-    plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40, runs=0)
-    ((_, expected),) = plan.expected_fits
-    k, lapse = plan.animals.weber_fraction, plan.animals.lapse
-    animal = pd.DataFrame(
-        [{"subject": "s1", "weber_fraction": k, "lapse_low": lapse, "lapse_high": lapse, "bias": 0}]
-    )
-    encoding = plan.hypotheses[0].encoding
-    found = []
-    for seed in range(n):
-        answers = simulate_responses(plan.trials, animal, encoding=encoding, seed=seed)
-        row = plan.analyse(answers).estimates.iloc[0]
-        found.append((row["weber_fraction"], row["upper"] - row["lower"]))
-    middle, width = np.array(found).T
-    low, high = expected.interval()
-    # Medians: sd 1.25 sd/√n each, four of these.
-    assert abs(expected.weber_fraction - np.median(middle)) < 4 * 1.25 * middle.std() / np.sqrt(n)
-    assert abs((high - low) - np.median(width)) < 4 * 1.25 * width.std() / np.sqrt(n)
-
-
 def test_expected_jnds_are_the_papers(plan: Plan) -> None:
     """k r (1 − r/A) and k r, (3.5) and (3.6), in the 75 % criterion: 0.9539 of an sd."""
     whisker = Whisker.from_identity("C3")
@@ -555,21 +502,6 @@ def test_expected_shares_hold_95_percent_of_animals(plan: Plan) -> None:
 
 
 # -- the page and the folder ---------------------------------------------------------------------
-
-
-def test_a_folder_has_everything_and_is_the_same_again(
-    plan: Plan, written: Path, tmp_path: Path
-) -> None:
-    first, second = written, write_plan(plan, tmp_path / "b")
-    names = sorted(path.name for path in first.iterdir())
-    lists = [f"psychopy_{s}_{n:03d}.csv" for s in ("s1", "s2") for n in range(1, plan.sessions + 1)]
-    assert {"plan.json", "plan.html", "preregistration.txt", "trials.csv", *lists} < {*names}
-    assert names == sorted(path.name for path in second.iterdir())
-    for name in names:
-        if name != "design.run.json":  # has the time
-            assert (first / name).read_bytes() == (second / name).read_bytes(), name
-    again = read_plan(first / "plan.json")
-    assert csv_text(again.trials).encode() == (first / "trials.csv").read_bytes()
 
 
 def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:

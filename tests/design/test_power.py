@@ -186,15 +186,6 @@ def test_an_experiment_is_fitted_as_fit_weber_fits_it(case):
         )
 
 
-def test_a_known_weber_fraction_has_no_interval():
-    (known,) = with_priors([WEBER], weber_fraction=0.1)
-    scheme = Scheme([1.0], [-0.2, 0.2])
-    fitted = fit(known, scheme, np.array([[[3.0, 18.0]]]))
-    own = fit_weber(trials_of(scheme, [3, 18]), bias="per standard", priors=known.priors)
-    assert fitted.half_width[0] == 0
-    assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.02)
-
-
 @pytest.mark.slow
 def test_animals_share_a_population_as_fit_population_has_it():
     """Evidence and intervals, also of animals that tell little, whose lapses the others tell."""
@@ -213,20 +204,6 @@ def test_animals_share_a_population_as_fit_population_has_it():
         )
         factors.append(fitted.log_evidence[0] - own.log_evidence)
     assert abs(factors[0] - factors[1]) < 0.3
-
-
-def test_more_animals_narrow_the_interval_but_not_below_their_spread():
-    rng = np.random.default_rng(1)
-    width = [
-        np.median(
-            fit(
-                TAPERED, s, simulate(TAPERED, s, SubjectPopulation(spread=0.5), 8, rng)[0]
-            ).half_width
-        )
-        for s in (design((0.3, 0.6), 20).with_animals(n) for n in (2, 8))
-    ]
-    assert width[1] < 0.7 * width[0]
-    assert width[1] > 1.96 * 0.5 / np.sqrt(8) * 0.7
 
 
 def test_intervals_cover_what_the_prior_draws():
@@ -322,17 +299,6 @@ def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
     assert len(found.path.table) < 10
 
 
-def test_the_report_says_where_intervals_of_k_miss():
-    # Of animals whose k is far from all that was believed.
-    scheme = design((0.3, 0.9), 8).with_animals(4)
-    hypotheses = with_priors((TAPERED, CYLINDRICAL), weber_fraction=lognorm(0.05, scale=0.3))
-    found = ww.power(scheme, hypotheses, truths=[TAPERED.name], runs=10, seed=1)
-    assert found.table["coverage"][0] < 0.7
-    assert "cover the truth in" in found.report()
-    few = ww.power(scheme.with_animals(2), (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=12)
-    assert "Caution" not in few.report()
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -420,18 +386,3 @@ def test_wrong_types_are_refused_in_a_sentence(call, taken):
             call(wrong)
         place = error.traceback[-1].path
         assert "weberwhisk" in str(place), (wrong, error.value)
-
-
-def test_no_goal_is_the_interval_of_a_weber_fraction_that_is_given() -> None:
-    """It has none, and every experiment counted as reaching it, a session as finished at once."""
-    fixed = with_priors([TAPERED, CYLINDRICAL], weber_fraction=0.1)
-    scheme, goal = design((0.3, 0.6), 4), Goal(half_width=0.2)
-    for refused in (
-        lambda: ww.power(scheme, fixed[:1], runs=8),
-        lambda: smallest(scheme, fixed, goal=goal, runs=8),
-        lambda: ww.design.best_scheme(fixed, goal=goal),
-        lambda: ww.plan_experiment("C2", hypotheses=fixed, goal=goal, trials=10, runs=0),
-        lambda: ww.design.BayesianPlacer(fixed, scheme, width=0.2),
-    ):
-        with pytest.raises(ValueError, match=r"'tapered' is given its Weber fraction, 0\.1, which"):
-            refused()

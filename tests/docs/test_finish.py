@@ -18,12 +18,10 @@ from scipy.io import savemat
 
 import weberwhisk as ww
 from weberwhisk.behaviour import methods_paragraph
-from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.session import bpod_table, psychopy_tables
-from weberwhisk.design.words import preregistration
 
 ROOT = Path(__file__).parents[2]
 
@@ -158,26 +156,6 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
         replace(plan, scheme=plan.scheme.with_animals(2)).analyse(
             replace(trials, frame=trials.frame.drop(columns="subject"))
         )
-
-
-def test_a_yes_no_plan_is_analysed_as_one(
-    planned: tuple[Path, Plan, pd.Series], tmp_path: Path
-) -> None:
-    _, plan, _ = planned
-    asked = [replace(h, task="go/no-go") for h in plan.hypotheses]
-    plan = replace(plan, hypotheses=asked, power=None)
-    answers = simulate_responses(
-        plan.trials, plan.animals.draw(plan.scheme.animals, 1), encoding=asked[0].encoding,
-        task="yes/no", seed=1,
-    )  # fmt: skip
-    plan.trials.assign(choice=answers.frame["count"]).to_csv(tmp_path / "data.csv", index=False)
-    trials = rig_trials([tmp_path / "data.csv"], plan.hypotheses[0].task)
-    found, direct = plan.analyse(trials, unit=1e-3), plan.analyse(answers)
-    assert found.log_evidence == pytest.approx(direct.log_evidence, rel=1e-6)
-    with pytest.raises(ValueError, match="the plan is of go/no-go, got trials of 2AFC"):
-        plan.analyse(rig_trials([tmp_path / "data.csv"]), unit=1e-3)
-    assert "Φ((I2 − I1 − c σ1)/σ2)" in (text := " ".join(preregistration(plan).split()))
-    assert "second farther" not in text
 
 
 def test_links_of_the_index_page_are_absolute() -> None:

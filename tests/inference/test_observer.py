@@ -66,16 +66,6 @@ def test_one_made_from_another_has_its_own_defaults_and_the_users_choices(cue, c
 
 
 @pytest.mark.parametrize(
-    "cue", [cues.ForceMap(), cues.UnknownStiffness(cues.ForceMap()), cues.SpaceMap()], ids=repr
-)
-def test_an_observer_travels_to_another_process(cue):
-    observer = ww.Observer(W, cue, model=None)
-    again = pickle.loads(pickle.dumps(observer))
-    x = np.full((1, len(observer.unknowns)), 0.3)
-    assert np.array_equal(again.contact(x)[0], observer.contact(x)[0])
-
-
-@pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (("C2", cues.Compliance()), "needs a Whisker"),

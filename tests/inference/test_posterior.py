@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from mpmath import mp
 from numpy.polynomial.legendre import leggauss
-from scipy import stats
 from short_forms import slow_but
 
 import weberwhisk as ww
@@ -66,21 +65,6 @@ def test_quadrature_with_a_floor_is_exact_too():
         mean, sd = brute_force(observer, float(y), floor=mp.mpf(0.05 * unit))
         assert abs(p.mean[i] - mean) < 1e-6 * sd
         assert abs(p.sd[i] / sd - 1) < 1e-6
-
-
-@pytest.mark.parametrize("share", [0.9, 0.97, 1.1])
-def test_quadrature_sees_through_the_kink_of_a_saturated_receptor(share):
-    ceiling = 3 * float(W.compliance_constant / W.length)
-    observer = ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=1e-9, ceiling=ceiling))
-    p = ww.posterior(observer, [share * ceiling])
-    r = np.linspace(0, W.length, 1_000_001)[1:-1, None]  # a Riemann sum does not mind a kink
-    log = observer.log_likelihood([share * ceiling], r)
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
-    mean = weight @ r[:, 0]
-    sd = np.sqrt(weight @ (r[:, 0] - mean) ** 2)
-    assert p.mean == pytest.approx(mean, abs=2e-3 * sd)
-    assert p.sd == pytest.approx(sd, rel=2e-3)
 
 
 def test_quantiles_are_those_of_the_density():
@@ -232,21 +216,6 @@ def test_an_impossible_reading_is_called_improbable():
     # A moment of none, or against the force, was told of the tolerance.
     wrong = ww.posterior(ww.Observer(W, ForceMap()), signals * [[0.0, 1.0], [-1.0, 1.0]])
     assert wrong.status.tolist() == 2 * [Status.IMPROBABLE_READING]
-
-
-def test_flat_prior_is_scipys_uniform():
-    flat = ww.Observer(W, Compliance(), Weber(0.2))
-    given = ww.Observer(
-        W, Compliance(), Weber(0.2), prior={"radial_distance": stats.uniform(0, W.length)}
-    )
-    reading = flat.read(40e-3, seed=1)
-    a, b = ww.posterior(flat, reading), ww.posterior(given, reading)
-    assert (a.mean, a.sd) == pytest.approx((b.mean, b.sd), rel=1e-10)
-    narrow = ww.Observer(
-        W, Compliance(), Weber(0.2), prior={"radial_distance": stats.norm(30e-3, 2e-5)}
-    )
-    p = ww.posterior(narrow, reading)
-    assert (p.mean, p.sd) == pytest.approx((30e-3, 2e-5), rel=0.01)
 
 
 @pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])

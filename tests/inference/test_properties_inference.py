@@ -74,23 +74,6 @@ def fold(w: ww.Whisker, r: float) -> float:
 SHARE = floats(0.02, 0.98)
 
 
-@given(
-    whiskers(),
-    st.lists(floats(1e-6, 1 - 1e-9), min_size=1, max_size=20),
-    st.lists(floats(1e-6, 1 - 1e-6), min_size=20, max_size=20),
-)
-def test_coordinates_are_undone(w: ww.Whisker, places: list[float], shares: list[float]) -> None:
-    observer = ww.Observer(w, cues.ForceMap())
-    r = np.array(places) * w.length * (1 - 1e-6)
-    theta = ww.flick_past(w, r).deflection_angle * np.array(shares[: len(places)])
-    contact = np.stack([r, theta], axis=-1)
-    x = observer.coordinates(contact)
-    assert np.isfinite(x).all()
-    back, log_prior = observer.contact(x)
-    assert np.isfinite(log_prior).all()
-    np.testing.assert_allclose(back, contact, rtol=1e-6)
-
-
 @st.composite
 def observed(draw: st.DrawFn) -> tuple[ww.Observer, np.ndarray, np.ndarray]:
     """An observer, a contact and noisy readings of it."""

@@ -209,39 +209,6 @@ def test_posteriors_over_all_curvatures_and_frictions(seed):
     compare(ratio, curvature, friction, k, seed, count=20)
 
 
-def test_a_curvature_that_is_unknown_mixes_posteriors_of_those_that_are_known():
-    """By Gauss and Hermite's rule over whiskers with tables of their own."""
-    w, spread = whisker(20, 8.0), 2.0
-    noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
-    observer = Observer(w, UnknownCurvature(ForceMap(), spread), noise)
-    reading = observer.read([20e-3, 0.3, 1.0], seed=2)
-    found = posterior(observer, reading)
-    assert found.method == "quadrature"
-    assert found.status == 0
-    z, mass = np.polynomial.hermite_e.hermegauss(5)
-    mass /= mass.sum()
-    known = [
-        posterior(Observer(whisker(20, 8.0 + spread * a), ForceMap(), noise), reading) for a in z
-    ]
-    share = mass * np.exp([p.log_evidence for p in known])
-    assert found.log_evidence == pytest.approx(np.log(share.sum()), abs=1e-3)
-    share /= share.sum()
-    for name in ("radial_distance", "deflection_angle"):
-        mean, sd = np.array([p.estimates[name][:2] for p in known]).T
-        whole = share @ mean
-        width = np.sqrt(share @ (sd**2 + (mean - whole) ** 2))
-        assert found.estimates[name].mean == pytest.approx(whole, abs=2e-3 * width)
-        assert found.estimates[name].sd == pytest.approx(width, rel=2e-3)
-    offset = found.estimates["curvature_offset"]
-    assert offset.mean == pytest.approx(spread * share @ z, abs=2e-3 * spread)
-    below = [0.025, 0.5, 0.975]
-    drawn = found.draws_of(2000, 1).reshape(-1, 3)
-    for i, name in enumerate(observer.unknowns):
-        share = np.mean(drawn[:, i, None] < found.quantile(below, of=name), axis=0)
-        assert share == pytest.approx(below, abs=0.03)
-    assert (observer.signals(drawn)[1] == 0).mean() > 0.999
-
-
 def coverage(cue, w, noise, count, seed=5):
     """The share of 95 % intervals that hold the distance, of contacts drawn from the prior."""
     observer = Observer(w, cue, noise)
@@ -462,23 +429,6 @@ def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     assert "C2 is taken as straight" in Observer(hinged, ForceMap()).note
 
 
-def test_a_whisker_that_nobody_calls_straight_is_taken_as_such_and_said_to_be():
-    """(M, Fx) of a curved C2, read by the numbers of its length and radii alone: silent once."""
-    plain = Whisker.from_identity("C2")
-    numbers = Whisker(plain.length, plain.base_radius, plain.tip_radius)
-    curved = Observer(Whisker.from_identity("C2", curved=True), ForceMap())
-    found = posterior(Observer(numbers, ForceMap()), curved.signals([20e-3, 0.1])[0])
-    assert abs(found.mean - 20e-3) > 5 * found.sd
-    assert "Taken as straight; the usual curvature of rats' whiskers, 12 /m" in repr(found)
-    for same in (ww.Profile.of(numbers), replace(numbers, youngs_modulus=3e9)):
-        assert "Taken as straight" in Observer(same, ForceMap()).note
-    table = pd.DataFrame(found.reading[None], columns=["moment", "axial_force"])
-    assert any("Taken as straight" in note for note in ww.locate(table, numbers).attrs["notes"])
-    for straight in (replace(numbers, curvature=0.0), Whisker.shaft(50e-3, 1e-3, "nitinol")):
-        assert Observer(straight, ForceMap()).note == ""
-    assert replace(numbers, curvature=0.0) == numbers == plain
-
-
 def test_whatever_takes_a_named_whisker_as_straight_says_so():
     """Of contacts, touches, places and JNDs, where once the posterior alone did."""
     plain = Whisker.from_identity("C2")
@@ -528,16 +478,3 @@ def test_mice_have_whiskers_and_robots_shafts():
     ):
         with pytest.raises(ValueError, match=said):
             refused()
-
-
-def test_a_model_that_loses_contacts_is_not_chosen():
-    """The balance of moments ends earlier straight: 0.5 sd off at 0.85 of the reach, converged."""
-    bent = whisker(20, -12.0)
-    observer = Observer(bent, BalanceOfMoments(), Weber(0.1))
-    assert observer.model == "profile"
-    assert observer.why.endswith("the straight elastica has contacts lost that are held")
-    exact = replace(observer, tolerance=1e-9)
-    reading = exact.signals(np.linspace(0.1, 0.95, 18)[:, None] * exact.reach[1])[0]
-    assert np.isfinite(reading).all()
-    found, wanted = posterior(observer, reading), posterior(exact, reading)
-    np.testing.assert_array_less(np.abs(found.mean - wanted.mean), 1e-6 * wanted.sd)

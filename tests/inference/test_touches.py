@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, norm, rv_histogram
+from scipy.stats import binomtest, norm
 from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
@@ -36,32 +36,6 @@ def test_one_touch_is_todays_posterior(k, curvature):
         ends = np.ravel(today.quantile_error_of(np.array([0.025, 0.975]), 0))
         off = np.abs(np.subtract(one.interval(), today.interval()))
         assert np.all(off < 2e-3 * today.sd + ends)
-
-
-@pytest.mark.parametrize(
-    ("curvature", "contact", "between", "ratio"),
-    [(8.0, [25e-3, 0.2], (15e-3, 38e-3), 0.961), (0.0, [10e-3, 0.9785], (3e-3, 16e-3), 0.540)],
-)
-def test_ten_equal_touches_may_say_more_than_root_ten_as_a_plain_sum_does(
-    curvature, contact, between, ratio
-):
-    """By 4 %: one touch's posterior is skewed, that of ten less so. By 46 % next to flick-past."""
-    bowed = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
-    observer = Observer(bowed, cues.ForceMap(), Weber(0.03))
-    reading = observer.signals(np.array([contact]))[0]
-    r, theta = np.linspace(*between, 800), np.geomspace(0.02, 2.0, 3000)
-    held = observer.angle_range(r)[1]
-    signals, _ = observer.signals(np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1))
-    likelihood = np.exp(observer.noise.log_likelihood(reading, np.nan_to_num(signals, nan=1.0)))
-    likelihood = likelihood @ np.gradient(theta) / held
-    sds = []
-    for n in (1, 10):
-        weight = (likelihood / likelihood.max()) ** n * held
-        mean = weight @ r / weight.sum()
-        sds.append(np.sqrt(weight @ (r - mean) ** 2 / weight.sum()))
-        found = touches(observer, np.repeat(reading, n, axis=0))
-        assert found.sd == pytest.approx(sds[-1], rel=2e-3)
-    assert sds[1] / sds[0] * np.sqrt(10) == pytest.approx(ratio, abs=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -154,26 +128,6 @@ def test_the_friction_of_each_touch_is_summed():
     assert found.status == Status.CONVERGED
     assert found.mean == pytest.approx(mean, abs=5e-3 * sd)
     assert found.sd == pytest.approx(sd, rel=5e-3)
-
-
-@pytest.mark.parametrize(
-    "prior",
-    [norm(30e-3, 3e-5), rv_histogram(([1.0, 0.0, 4.0], 0.01 * np.arange(1, 5)))()],
-    ids=["sharp", "leaps"],
-)
-def test_priors_of_the_distance_need_not_be_as_smooth_as_the_rows(prior):
-    """No sum at all, and 1 sd off with a quarter of the sd, converged."""
-    observer = Observer(W, cues.Compliance(), Weber(0.1), {"radial_distance": prior})
-    readings = observer.read([[31e-3]] * 3, seed=1)
-    r = prior.ppf((np.arange(20_000) + 0.5) / 20_000)
-    signals = observer.signals(r[:, None])[0]
-    log = sum(observer.noise.log_likelihood(reading, signals) for reading in readings)
-    weight = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-    found, mean = touches(observer, readings), weight @ r
-    sd = np.sqrt(weight @ (r - mean) ** 2)
-    assert found.status is Status.CONVERGED
-    assert found.mean == pytest.approx(mean, abs=3e-3 * sd)
-    assert found.sd == pytest.approx(sd, rel=3e-3)
 
 
 def test_touches_that_do_not_agree_say_so():

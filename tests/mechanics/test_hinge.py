@@ -118,17 +118,6 @@ def test_the_range_ends_where_the_angle_stops_to_grow():
     assert ForwardModel(hinged(SOFT / 50)).limit(np.array([5e-3])) == np.pi
 
 
-@pytest.mark.parametrize("curvature", [0.0, -10.0])
-def test_slopes_are_those_of_the_signals(curvature):
-    forward = ForwardModel(hinged(whisker=replace(PLAIN, curvature=curvature)))
-    r = np.linspace(5e-3, 42e-3, 9)
-    theta, h = 0.6 * forward.limit(r), 1e-5
-    by_r = forward.signals(r * (1 + h), theta)[0] - forward.signals(r * (1 - h), theta)[0]
-    by_theta = forward.signals(r, theta * (1 + h))[0] - forward.signals(r, theta * (1 - h))[0]
-    rough = np.stack([by_r / (2 * h * r)[:, None], by_theta / (2 * h * theta)[:, None]], axis=-1)
-    np.testing.assert_allclose(forward.jacobian(r, theta), rough, rtol=1e-5, atol=1e-9)
-
-
 @pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])  # 4, 45 s
 def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers(spread):
     """Of a hinge that is known, and of one whose stiffness has a log-normal prior."""

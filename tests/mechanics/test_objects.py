@@ -94,17 +94,6 @@ def test_a_round_object_beyond_the_flanks_reach_is_met_with_the_tip():
     assert s.first_contact == pytest.approx(10e-3 - np.sqrt(radius**2 - 2e-3**2), abs=1e-9)
 
 
-def test_a_tilted_wall_is_the_level_one_seen_from_a_turned_frame():
-    """Frame-invariance: turning wall and base together changes nothing at the base."""
-    turn = np.radians(-20)
-    angles = np.radians([40.0, 65.0])
-    level = sweep(W, wall(0.0, -30e-3, 0.0), np.r_[0.5, angles])
-    foot = 30e-3 * np.array([np.sin(turn), -np.cos(turn)])
-    tilted = sweep(W, wall(*foot, turn), np.r_[0.5, angles] - turn)
-    np.testing.assert_allclose(tilted.bending.moment, level.bending.moment, rtol=1e-7)
-    assert tilted.first_contact == pytest.approx(level.first_contact - turn, abs=1e-9)
-
-
 def test_an_object_that_the_sweep_does_not_reach_is_out_of_reach():
     s = sweep(W, peg(35e-3, 0.0), [0.1, 0.5, 1.0])  # it starts past the peg
     assert s.ended_by is Outcome.OUT_OF_REACH

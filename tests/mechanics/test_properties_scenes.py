@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from property_strategies import POWERS, floats, scaled, whiskers
 
 import weberwhisk as ww
-from weberwhisk import Observer, cues
-from weberwhisk.cues import BalanceOfMoments, Fused
+from weberwhisk.cues import BalanceOfMoments
 from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
 from weberwhisk.mechanics.muscle import MuscleCurve
-from weberwhisk.sensitivity import fisher_jnd
 
 #: A sweep takes a tenth of a second: few examples.
 sweeps = settings(max_examples=max(settings.default.max_examples // 5, 3))
@@ -115,47 +113,3 @@ def test_where_muscle_and_whisker_balance(
 
 
 # -- fused cues -----------------------------------------------------------------------------------
-
-
-@st.composite
-def fusions(draw: st.DrawFn) -> tuple[ww.Whisker, Fused, np.ndarray]:
-    """Two or three cues of one contact, and where it is."""
-    w = draw(whiskers())
-    w = replace(w, tip_radius=draw(floats(0.011, 0.89)) * w.base_radius)
-    makes = st.sampled_from(
-        [lambda: cues.Compliance(), lambda: cues.ForceMap(), lambda: cues.VibrissaLength(),
-         lambda: cues.Compliance(tap_angle=0.02),
-         lambda: cues.ForceMap("moment", deflection_angle=0.1)]
-    )  # fmt: skip
-    fused = Fused(*(draw(makes)() for _ in range(draw(st.integers(2, 3)))))
-    r = draw(floats(0.1, 0.8)) * w.length
-    end = float(ww.flick_past(w, r).deflection_angle)
-    assume(end > 0.15)
-    contact = {"radial_distance": r, "deflection_angle": draw(floats(0.05, 0.8)) * end}
-    return w, fused, np.array([contact[name] for name in fused.unknowns])
-
-
-def told(w: ww.Whisker, cue: object, contact: np.ndarray, noise: object = None) -> float:
-    return float(np.ravel(fisher_jnd(Observer(w, cue, noise), contact))[0])  # type: ignore[arg-type]
-
-
-@given(fusions(), POWERS, POWERS)
-def test_fused_cues_tell_no_less_than_each_alone(
-    scene: tuple[ww.Whisker, Fused, np.ndarray], size: float, stiff: float
-) -> None:
-    w, fused, contact = scene
-    together = told(w, fused, contact)
-    assert np.isfinite(together)
-    alone = [told(w, cue, fused.part(cue, contact)) for cue in fused.cues]
-    assert together <= min(alone) * (1 + 1e-6)
-    # In any order, and of any size and stuff.
-    back = Fused(*fused.cues[::-1])
-    assert back.unknowns == fused.unknowns
-    np.testing.assert_allclose(told(w, back, contact), together, rtol=1e-6)
-    larger = contact * [size if n == "radial_distance" else 1.0 for n in fused.unknowns]
-    np.testing.assert_allclose(
-        told(scaled(w, size, stiff), fused, larger), together * size, rtol=1e-6
-    )
-    if len(fused.unknowns) == 1:  # information adds
-        added = np.sum(np.array(alone) ** -2.0) ** -0.5
-        np.testing.assert_allclose(together, added, rtol=1e-6)

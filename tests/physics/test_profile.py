@@ -293,17 +293,6 @@ def test_a_curved_whisker_is_touched_at_the_tip_that_bend_finds():
     assert beyond.outcome is Outcome.OUT_OF_REACH
 
 
-def test_zero_load():
-    """Nothing bends, and a curved whisker keeps the angles of its rest."""
-    flat = bend(STRAIGHT, 25e-3, 0.0)
-    assert (flat.moment, flat.axial_force, flat.deflection_angle) == (0, 0, 0)
-    curved = Profile.of(STRAIGHT).curved(Spiral(10.0, 200.0))
-    p = press(curved, 25e-3, rest_angle(curved, 25e-3))
-    assert p.outcome is Outcome.HELD
-    assert abs(p.moment) < 1e-9 * STRAIGHT.moment_scale
-    assert p.contact_angle == pytest.approx(p.arc_length * (10 + 100 * p.arc_length), rel=1e-9)
-
-
 @pytest.mark.parametrize("force", [1e-3, 1.0, 1e6, 1e200])
 def test_loads_far_past_the_fold(force):
     """The trajectory winds up; it must say so rather than give some coil's numbers."""
@@ -339,18 +328,6 @@ def test_rest_shapes_have_their_closed_forms():
     t = 1e2
     s = (t * np.sqrt(1 + t * t) + np.arcsinh(t)) / (4 * 1e3)
     assert np.tan(far.turn(np.array(s))) == pytest.approx(t, rel=1e-11)
-
-
-def test_whiskers_scenes_and_friction_broadcast():
-    w = Whisker(50e-3, 100e-6, np.array([[5e-6], [20e-6]]), 3e9, curvature=np.array([[5.0], [0.0]]))
-    p = press(w, np.array([20e-3, 30e-3, 60e-3]), 0.3, 0.1)
-    assert p.moment.shape == p.outcome.shape == p.error.shape == (2, 3)
-    np.testing.assert_array_equal(p.outcome[:, 2], Outcome.OUT_OF_REACH)
-    one = press(Whisker(50e-3, 100e-6, 20e-6, 3e9), 30e-3, 0.3, 0.1)
-    assert p.moment[1, 1] == pytest.approx(one.moment, rel=1e-9)
-    assert isinstance(one.outcome, Outcome)
-    with pytest.raises(ValueError, match="must broadcast"):
-        press(w, [20e-3] * 4, [0.1] * 3)
 
 
 @pytest.mark.parametrize(

@@ -277,14 +277,6 @@ def test_a_far_tail_of_a_log_normal_reading_is_integrated_too():
     assert abs(p.mean - 0.9 * W.length) < 2 * 0.002 * W.length
 
 
-@pytest.mark.parametrize("method", ["quadrature", "laplace"])
-def test_a_reading_that_no_contact_can_give_is_refused(method):
-    observer = ww.Observer(W, Compliance(), LogNormal(0.1))
-    assert ww.posterior(observer, [UNIT, 0.0], method).status.tolist() == [0, Status.NO_CONTACT]
-    with pytest.raises(ValueError, match=r"No contact can give the reading \[-?[0-9.e-]+\]"):
-        ww.posterior(observer, [UNIT, -UNIT], method)
-
-
 def test_the_linear_jnd_goes_by_the_slope_of_the_response():
     contact, weber = [0.4 * W.length], Weber(0.1)
     noise = Saturating(0.1, ceiling=UNIT)
@@ -321,12 +313,3 @@ def test_the_linear_jnd_goes_by_the_slope_of_the_response():
 def test_nonsense_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
-
-
-def test_one_signal_of_several_may_have_no_ceiling_or_nothing_but_a_floor():
-    noise = GeneralisedWeber(0.1, floor=0.0, ceiling=[None, 1.0])
-    assert noise == GeneralisedWeber(0.1, floor=0.0, ceiling=[np.inf, 1.0])
-    assert noise.mean([3.0, 3.0]).tolist() == [3.0, 1.0]
-    assert GeneralisedWeber(0.1, floor=1.0, ceiling=[None]).is_scale_family is False
-    constant = GeneralisedWeber([0.0, 0.1], floor=0.2).without_floor()
-    assert constant == GeneralisedWeber([0.0, 0.1], floor=[0.2, 0.0])

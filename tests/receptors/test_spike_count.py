@@ -55,20 +55,6 @@ def test_rates_are_naka_rushtons_times_the_time_they_last():
     assert np.array_equal(noise.mean([-force]), noise.mean([force]))
 
 
-def test_each_signal_has_afferents_of_its_own():
-    noise = SpikeCount(Afferents(3, [1e-8, 1e-3], [1e-6, 1.0]))
-    moment, force = SpikeCount(Afferents(3, 1e-8, 1e-6)), SpikeCount(Afferents(3, 1e-3, 1.0))
-    signals = np.array([2e-7, 0.05])
-    assert noise.reading_size(2) == 6
-    assert np.allclose(
-        noise.mean(signals), np.concatenate([moment.mean([2e-7]), force.mean([0.05])])
-    )
-    information = noise.fisher(signals)
-    assert information[0, 0] == pytest.approx(moment.fisher([2e-7])[0, 0], rel=1e-12)
-    assert information[1, 1] == pytest.approx(force.fisher([0.05])[0, 0], rel=1e-12)
-    assert information[0, 1] == 0
-
-
 # -- Weber's law ----------------------------------------------------------------------------------
 
 
@@ -237,15 +223,3 @@ def test_counts_of_two_signals_find_their_mode():
 def test_nonsense_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
-
-
-def test_no_rows_have_no_likelihood_and_equal_thresholds_webers_law():
-    noise = SpikeCount(slow=Afferents(5, 1e-6, 1e-6))
-    assert noise.mean(np.zeros((0, 1))).shape == (0, 5)
-    assert noise.log_likelihood(np.zeros((0, 5)), np.zeros((0, 1))).shape == (0,)
-    signals = np.array([1e-7, 1e-6, 1e-5])
-    exact = noise.effective_weber_fraction(signals[:, None])[:, 0]
-    assert noise.weber_law(signals) == pytest.approx(exact, rel=1e-3)
-    each = SpikeCount(slow=Afferents(75, [1e-8, 1e-7], [1e-5, 1e-4]))
-    two = [[1e-7, 1e-6]]
-    assert each.weber_law(two) == pytest.approx(each.effective_weber_fraction(two), rel=1e-4)

@@ -11,7 +11,6 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.recordings import HingedTap
-from weberwhisk.recordings.calibration import averaged
 
 TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
@@ -40,15 +39,6 @@ def test_eleven_distances_give_back_the_truth() -> None:
         assert abs(row["mean"] - value) < 3.5 * row["sd"], name
     assert found.effective_draws > 300
     assert np.abs(found.residuals["residual_sd"]).max() < 5
-
-
-def test_without_a_hinge_it_says_that_it_does_not_fit() -> None:
-    found = ww.calibrate(_taps(), NOMINAL, hinge=False)
-    assert not found.fits
-    assert "does not fit" in found.message
-    assert "hinge" in found.message
-    clamped = ww.calibrate(_taps(hinge=0.0), NOMINAL, hinge=False)
-    assert clamped.fits
 
 
 def test_counts_are_told_apart_from_stiffness_by_the_gain_and_locate_goes_by_it() -> None:
@@ -159,18 +149,3 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     made = {p.name for p in (tmp_path / "out").iterdir()}
     assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json",
             "calibration.png"} <= made  # fmt: skip
-
-
-def test_ends_of_intervals_stay_on_the_whisker() -> None:
-    found = ww.calibrate(_taps(each=2), NOMINAL, draws=1000)
-
-    def under(*_: object) -> pd.DataFrame:
-        ends = {"lower_mm": [0.1, 60.0], "upper_mm": [119.0, 60.0]}
-        out = pd.DataFrame({"radial_distance_mm": [60.0, 60.0], "sd_mm": [20.0, 0.0]} | ends)
-        out.loc[0, "radial_distance_mm"] += next(moved)
-        out.attrs = {"notes": ()}
-        return out
-
-    moved = iter(np.append(np.linspace(-40, 40, len(found.samples)), 0.0))
-    out = averaged(found, under, None)
-    assert out[["lower_mm", "upper_mm"]].to_numpy().tolist() == [[0.0, 120.0], [60.0, 60.0]]

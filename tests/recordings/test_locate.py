@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk.cli import app
@@ -63,39 +62,6 @@ def test_measurement_errors_alone_are_the_likelihood() -> None:
     np.testing.assert_allclose(found["sd_mm"], 1e3 * p.sd, rtol=0.02)
     both = ww.locate(table, KNOWN, noise=ww.receptors.Weber(0.1))
     assert (both["sd_mm"] > found["sd_mm"]).all()
-
-
-def test_ridges_of_precise_readings_and_an_unknown_stiffness_are_whole() -> None:
-    """A midpoint sum of r and θ, the stiffness by its own Gaussian: parts of ridges were missed."""
-    r, theta = np.array([3.02e-3, 3.26e-3, 9.8e-3, 3.5e-3]), np.radians([19.9, 23.1, 22.1, 6.1])
-    b = ww.press(KNOWN, r, theta)
-    y = np.stack([b.moment, b.transverse_force], axis=1)
-    sd = y * [[0.025, 0.004], [0.011, 0.005], [0.07, 0.011], [0.025, 0.015]]
-    y = y * 1.1 + sd * [[0.5, -0.3], [-1.0, 0.2], [1.0, -1.0], [0.3, 1.2]]
-    table = pd.DataFrame(y, columns=["moment", "transverse_force"])
-    table[["moment_sd", "transverse_force_sd"]] = sd
-    found = ww.locate(table, C2)
-    observer = ww.Observer(C2, ww.cues.ForceMap(["moment", "transverse_force"]))
-    prior = ww.Observer(C2, SOFT).prior["stiffness"]
-    low, high = observer.reach
-    u = (np.arange(700) + 0.5) / 700
-    near = low + (high - low) * u**2  # r at even steps of its root
-    limit = np.asarray(ww.flick_past(C2, near).deflection_angle)
-    contact = np.stack(np.broadcast_arrays(near[:, None], limit[:, None] * u**2), axis=-1)
-    signals = observer.signals(contact)[0]
-    weight = u[:, None] * u * observer.distance_prior(near)[:, None]
-    for i in range(len(r)):
-        inverse = sd[i] ** -2
-        precision = (signals**2 * inverse).sum(axis=-1)
-        middle = (signals * y[i] * inverse).sum(axis=-1) / precision
-        off = ((y[i] - middle[..., None] * signals) ** 2 * inverse).sum(axis=-1)
-        density = np.exp(-0.5 * off) / np.sqrt(precision) * prior.pdf(middle) * weight
-        mass = np.nan_to_num(density).sum(axis=1)
-        mass /= mass.sum()
-        mean = 1e3 * mass @ near
-        spread = np.sqrt(mass @ (1e3 * near - mean) ** 2)
-        assert abs(found.loc[i, "radial_distance_mm"] - mean) < 0.02 * spread, i
-        assert found.loc[i, "sd_mm"] == pytest.approx(spread, rel=0.02), i
 
 
 def test_own_names_units_signs_and_index() -> None:
@@ -156,14 +122,6 @@ def test_signs_of_a_concave_whisker_are_its_own(angle: bool) -> None:
     np.testing.assert_allclose(found["radial_distance_mm"], 1e3 * r, atol=0.4)
     assert any(notes in note for note in found.attrs["notes"])
     assert not any("opposite" in note for note in found.attrs["notes"]) or angle
-
-
-def test_angle_in_place_of_a_force() -> None:
-    b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
-    table = pd.DataFrame({"moment": b.moment, "deflection_angle_deg": np.degrees(0.3)})
-    found = ww.locate(table, KNOWN)
-    assert (np.abs(found["radial_distance_mm"] - [10, 20]) < found["sd_mm"]).all()
-    np.testing.assert_allclose(found["angle_deg"], np.degrees(0.3), atol=0.5)
 
 
 def test_rows_that_tell_nothing_stay() -> None:
@@ -257,18 +215,6 @@ def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side()
         assert not any("mirrored" in note for note in found.attrs["notes"])
         z.append((found["touch_radial_distance_mm"][0] - 16) / found["touch_sd_mm"][0])
     assert np.abs(z).max() < 2.6
-
-
-def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
-    """`locate` and `fit` share the reader of tables, which asked both for trials."""
-    path = tmp_path / "empty.csv"
-    path.touch()
-    with pytest.raises(ValueError, match="one row per contact"):
-        ww.locate(path, KNOWN)
-    with pytest.raises(ValueError, match="one row per trial"):
-        ww.read_trials(path)
-    with pytest.raises(FileNotFoundError, match="table of contacts"):
-        ww.locate(tmp_path / "none.csv", KNOWN)
 
 
 @pytest.mark.parametrize(
@@ -378,70 +324,3 @@ def test_units_of_many_words_and_of_errors() -> None:
     assert factor(["moment", "moment_sd"], "moment_sd", units={"moment": "uN m"}) == 1e-6
     assert factor(["moment_uNm", "moment_uNm_sd"], "moment_sd") == 1e-6
     assert factor(["moment_uNm", "moment_sd_nNm"], "moment_sd") == 1e-9
-
-
-def test_a_modulus_that_was_given_is_known_be_it_the_default(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    from weberwhisk.cli import run_app
-
-    b = ww.press(C2, [20e-3], 0.2)
-    table = pd.DataFrame(
-        {"moment_uNm": 1e6 * b.moment, "axial_force_uN": 1e6 * b.axial_force, 0: 1}
-    )
-    unsaid, said = (ww.locate(table, C2, known_stiffness=known) for known in (None, True))
-    assert "is the default" in unsaid.attrs["notes"][0]
-    assert "UnknownStiffness" not in said.attrs["notes"][-1]
-    assert list(said.columns[:3]) == ["moment_uNm", "axial_force_uN", "0"]
-    table.to_csv(tmp_path / "contacts.csv", index=False)
-    words = ["locate", str(tmp_path / "contacts.csv"), "--identity", "C2"]
-    for more, unknown in (([], True), (["--youngs-modulus-gpa", "3.34"], False)):
-        assert run_app(app, [*words, *more]) in (0, None)
-        assert ("UnknownStiffness" in capsys.readouterr().out) == unknown
-
-
-STEPS = stats.rv_histogram(([1, 5, 2], [0.0, 24e-3, 26e-3, 40e-3]), density=True)()
-
-
-@pytest.mark.parametrize(
-    ("name", "prior"),
-    [
-        ("radial_distance", stats.norm(26e-3, 2e-3)),
-        ("radial_distance", stats.norm(26e-3, 0.5e-3)),
-        ("radial_distance", stats.norm(26e-3, 5e-6)),
-        ("radial_distance", stats.uniform(24e-3, 0.2e-3)),
-        ("radial_distance", STEPS),
-        ("deflection_angle", stats.norm(0.25, 0.1)),
-        ("deflection_angle", stats.norm(0.25, 0.002)),
-        ("deflection_angle", stats.uniform(0.1, 0.01)),
-    ],
-)
-def test_priors_of_your_own_may_be_sharp_or_leap(name, prior):
-    """Beside plain sums over distance and angle; one of 0.5 mm left a third of its sd."""
-    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=3e9, curvature=0.0)
-    observer = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(0.1), {name: prior})
-    contact = [[25.5e-3, 0.25], [26.5e-3, 0.2], [23e-3, 0.22], [28e-3, 0.3]]
-    plain = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(0.1))
-    readings = plain.read(contact, seed=1)
-    table = pd.DataFrame(readings, columns=["moment", "axial_force"]).assign(touch=1)
-    located = ww.locate(table, whisker, prior={name: prior}, cue=ww.cues.ForceMap(), touch="touch")
-    share = (np.arange(1200) + 0.5) / 1200
-    if name == "radial_distance":
-        r, angle = prior.ppf(share), share[None]
-    else:
-        r, angle = observer.reach[0] + share * np.ptp(observer.reach), None
-    limit = plain.angle_range(r)[1]
-    held = limit
-    if angle is None:
-        theta, weight = np.broadcast_to(prior.ppf(share), (1200, 1200)), np.ones((1200, 1))
-    else:
-        theta, weight = limit[:, None] * angle, held[:, None]
-    signals, outcome = plain.signals(np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1))
-    for i, reading in enumerate(readings):
-        log = plain.noise.log_likelihood(reading, np.nan_to_num(signals, nan=1.0))
-        log = np.where((outcome == 0) & (theta < limit[:, None]), log, -np.inf)
-        mass = (np.exp(log - log.max()) * weight).sum(axis=1)
-        mean = mass @ r / mass.sum()
-        sd = np.sqrt(mass @ (r - mean) ** 2 / mass.sum())
-        assert abs(located["radial_distance_mm"][i] / 1e3 - mean) < 4e-3 * sd
-        assert located["sd_mm"][i] == pytest.approx(1e3 * sd, rel=4e-3)

@@ -16,26 +16,6 @@ simulate_tracking = load("tracked_session").simulate_tracking
 C2 = ww.Whisker.from_identity("C2", curved=True)
 
 
-def test_a_simulated_session_is_the_beams() -> None:
-    """Without noise: the curvature at the base is M/EI, and the whisker passes through the pole."""
-    exact = {"frames": 50, "noise_px": 0.0, "spacing_px": 4.0, "missing": 0.0}
-    tracking, truth = simulate_tracking(C2, [12e-3, 20e-3], **exact)
-    assert truth["contact"].sum() == 21
-    free = tracking.loc[truth.index[~truth["contact"]][0]]
-    for i in truth.index[truth["contact"]]:
-        row, true = tracking.loc[i], truth.loc[i]
-        z = (row["x"] + 1j * row["y"]) / 20e3
-        angle = np.unwrap(np.angle(np.diff(z)))
-        rest = np.unwrap(np.angle(np.diff(free["x"] + 1j * free["y"])))
-        # Change of curvature over the first steps, extrapolated to the base.
-        change = np.diff(angle - rest)[:8] / 0.2e-3
-        at_base = np.polyfit(0.2e-3 * np.arange(1, 9), change, 3)[-1]
-        assert 1e6 * C2.stiffness * at_base == pytest.approx(true["moment_uNm"], rel=1e-3)
-        off = np.hypot(row["x"] - true["pole_x"], row["y"] - true["pole_y"]).min()
-        assert off < 2.01
-        assert abs(row["length_px"] - 20e3 * C2.length) < 4
-
-
 def _scene(seed: int, distances: list[float], *, frames: int, **options: float):
     """Signals of a session with noise of 0.3 px at 0.05 mm a pixel, and the truth beside them."""
     known = {"spacing_px": 6.0, "whisking_hz": 12.5, "deflection": 0.25} | options
@@ -219,25 +199,6 @@ def test_points_in_space_are_taken_in_the_plane_that_they_sweep() -> None:
         zip(space["x"], space["z"], strict=True))])  # fmt: skip
     with pytest.raises(ValueError, match="sweep no plane"):
         ww.tracked_signals(bulge, C2)
-
-
-def test_a_table_of_signals_is_the_same_from_a_file(tmp_path: Path) -> None:
-    video, _ = _scene(4, [15e-3], frames=40)
-    signals = ww.tracked_signals(video, C2).iloc[10:20]
-    signals.to_csv(tmp_path / "signals.csv", index=False)
-    found, again = ww.locate(signals, C2), ww.locate(tmp_path / "signals.csv", C2)
-    np.testing.assert_allclose(found["radial_distance_mm"], again["radial_distance_mm"], rtol=1e-6)
-    # What all rows of a touch have in common is not averaged away.
-    one, wide = (
-        ww.locate(signals.assign(distance_common_sd_mm=sd), C2, touch=[1] * 10)["touch_sd_mm"].iloc[
-            0
-        ]
-        for sd in (0.0, 1.0)
-    )
-    used = found["status"].eq("converged").sum()
-    assert wide == pytest.approx(np.sqrt(one**2 + 1 - 1 / used))
-    assert set(ww.locate(signals.assign(misfit=11.0), C2)["status"]) <= {
-        "no_contact", "improbable_reading"}  # fmt: skip
 
 
 def test_false_alarms_are_as_stated_and_contacts_may_be_given() -> None:

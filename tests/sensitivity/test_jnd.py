@@ -113,14 +113,6 @@ def test_the_cylinders_force_map_has_an_infinite_jnd_and_says_so():
     assert curve["unreliable"][0] == 1
 
 
-def test_seeds_repeat_and_matter():
-    observer = ww.Observer(W, Compliance())
-    a, b, c = (
-        ww.jnd_curve(observer, 20e-3, n_readings=10, seed=s)["posterior"][0] for s in (1, 1, 2)
-    )
-    assert a == b != c
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -147,15 +139,6 @@ def test_perfectly_correlated_signals_beyond_need_are_refused():
     observer = ww.Observer(W, cue, noise)
     with pytest.raises(ValueError, match=r"no best combination.*write a correlation"):
         weber_propagation(observer, [30e-3, 0.3])
-
-
-def test_a_contact_that_is_not_held_has_no_jnd_by_any_route():
-    table = ww.jnd_curve(
-        ww.Observer(W, ForceMap()), [20e-3, 25e-3], [1.5, 0.2], n_readings=4, seed=1
-    )
-    routes = ["closed_form", "propagation", "fisher", "posterior", "estimator"]
-    assert table[routes].loc[0].isna().all()
-    assert table[routes].loc[1].notna().all()
 
 
 @pytest.mark.parametrize("angle", [0.0, -0.2])

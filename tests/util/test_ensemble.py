@@ -125,34 +125,6 @@ def test_precision_is_met_and_errors_are_honest(dim: int) -> None:
     assert np.all(fit.rhat < 1.01)
 
 
-def test_agrees_with_quadrature_in_two_skewed_dimensions() -> None:
-    shape = np.array([1.0, 3.0])
-    rng = np.random.default_rng(5)
-
-    def density(x: Array, index: Array) -> Array:
-        return (
-            shape[index][:, None] * x[..., 0] - np.exp(x[..., 0]) - 2 * (x[..., 1] - x[..., 0]) ** 2
-        )
-
-    def functions(x: Array) -> Array:
-        return np.concatenate([x, np.exp(x[..., :1] / 2)], axis=-1)
-
-    axes = np.linspace(-24, 12, 1500), np.linspace(-24, 12, 1500)
-    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(1, -1, 2)
-    weight = np.exp(np.stack([density(place, np.array([i]))[0] for i in range(2)]))
-    weight /= weight.sum(axis=1, keepdims=True)
-    value = functions(place[0])
-    mean = weight @ value
-    sd = np.sqrt(weight @ value**2 - mean**2)
-    start = np.log(shape)[:, None, None, None] + 0.5 * rng.standard_normal((2, 4, 16, 2))
-    fit = sample_stacked(density, start, seed=6, functions=functions, precision=0.03, indexed=True)
-    assert fit.converged.all()
-    assert np.abs((fit.mean - mean) / fit.mcse_mean).max() < 4
-    assert np.abs((fit.sd - sd) / fit.mcse_sd).max() < 4
-    assert fit.values.shape == (2, 4, 1024, 3)
-    np.testing.assert_allclose(fit.values[..., 2], np.exp(fit.values[..., 0] / 2))
-
-
 def test_the_seed_decides_every_bit_and_nothing_else_does() -> None:
     first = gaussian_run(5, 2, seed=1)
     state = np.random.get_state()  # noqa: NPY002
@@ -178,28 +150,6 @@ def test_a_posterior_is_untouched_by_its_neighbours() -> None:
         )
     np.testing.assert_array_equal(fits[0].values[:3], fits[1].values[:3])
     np.testing.assert_array_equal(fits[0].mcse_sd[:3], fits[1].mcse_sd[:3])
-
-
-def test_posteriors_that_are_done_leave_the_run() -> None:
-    sizes: list[int] = []
-    easy = np.arange(20) < 18
-
-    def density(x: Array, index: Array) -> Array:
-        sizes.append(len(index))
-        hard = -2.0 * np.log1p(x[..., 0] ** 2 / 3)  # heavy tails
-        return np.where(easy[index][:, None], -0.5 * x[..., 0] ** 2, hard)
-
-    fit = sample_stacked(
-        density,
-        np.random.default_rng(4).normal(size=(20, 4, 8, 1)),
-        seed=5,
-        indexed=True,
-        max_steps=3000,
-    )
-    assert fit.converged[easy].all()
-    assert fit.steps[easy].max() < fit.steps[~easy].min()
-    assert sizes[0] == 20
-    assert sizes[-1] <= 2
 
 
 # -- where emcee goes wrong --------------------------------------------------------------------
@@ -301,38 +251,3 @@ def test_emcee_takes_a_start_outside_the_support_and_this_does_not() -> None:
     start[1, 2, 3] = -5.0
     with pytest.raises(ValueError, match=r"1 walker\(s\) of 1 posterior\(s\) .* posterior 1"):
         sample_stacked(density, start, seed=1)
-
-
-GOOD = np.random.default_rng(25).normal(size=(2, 4, 8, 2))
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"start": GOOD[0]}, "start must be finite and of shape"),
-        ({"start": GOOD[:0]}, "of shape \\(B, E, W, D\\)"),
-        ({"start": GOOD[:, :3]}, "E ≥ 4 ensembles .* got \\(2, 3, 8, 2\\)"),
-        ({"start": GOOD[:, :, :5]}, "an even number of walkers"),
-        ({"start": GOOD[:, :, :4]}, "at least 2 D \\+ 2, got"),
-        ({"start": np.where(GOOD > 1, np.nan, GOOD)}, "start must be finite"),
-        ({"start": np.zeros_like(GOOD)}, "must differ in every direction"),
-        ({"start": GOOD[..., [0, 0]]}, "must differ in every direction"),
-        ({"log_density": lambda x: np.zeros(3)}, "The log-density must have shape"),
-        ({"log_density": lambda x: np.full(x.shape[:2], np.nan)}, "posterior 0 is nan"),
-        ({"log_density": lambda x: np.full(x.shape[:2], np.inf)}, "posterior 0 is inf"),
-        ({"log_density": lambda x: np.where(x[..., 0] > 3, np.nan, 0.0)}, "is nan at"),
-    ],
-)
-def test_misuse_is_refused_in_one_sentence(
-    change: dict[str, object], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments: dict[str, object] = {
-        "log_density": lambda x: -0.5 * (x**2).sum(axis=-1),
-        "start": GOOD,
-        "seed": 1,
-    }
-    with pytest.raises(ValueError, match=words) as caught:
-        sample_stacked(**(arguments | change))  # type: ignore[arg-type]
-    assert str(caught.value).endswith(".")
-    assert "\n" not in str(caught.value)
-    assert capsys.readouterr().out == ""  # emcee would print the walkers
