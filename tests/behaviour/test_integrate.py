@@ -13,7 +13,7 @@ from scipy.special import logsumexp, ndtr
 from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.axes import log_lapses_possible, score_prior
 from weberwhisk.behaviour.effects import Floor
-from weberwhisk.behaviour.integrate import Tolerance, integrate
+from weberwhisk.behaviour.integrate import integrate
 from weberwhisk.behaviour.integrate.batch import marginal
 from weberwhisk.behaviour.likelihood import WeberModel, build_model
 
@@ -64,7 +64,7 @@ def test_finer_grids_tell_the_same_evidence_to_a_thousandth(per_level: int) -> N
         trials_per_level=per_level, lapse_low=0.03, lapse_high=0.03, bias=0.3, seed=5
     )
     model = fit_weber(trials).model.merged()
-    usual, fine = integrate(model), integrate(model, Tolerance(0.01, 1e-3, 14.0))
+    usual, fine = integrate(model), integrate(model, 0.01)
     assert usual.log_evidence == pytest.approx(fine.log_evidence, abs=2e-3)
 
 

@@ -56,29 +56,9 @@ def lapse_prior(model: WeberModel, low: Array, high: Array) -> Array:
 
 
 def lapse_weights(model: WeberModel, low: Array, high: Array) -> Array:
-    """Log prior probability of the lapse nodes, (Lo, Hi).
-
-    A first node so low that no trial is lost stands for everything below it.
-    """
-    pair = [with_tail(model, n, a) for n, a in zip(model.lead[-2:], (low, high), strict=True)]
-    weights = np.exp(lapse_prior(model, *pair))
-    for i, (whole, axis) in enumerate(zip(pair, (low, high), strict=True)):
-        weights *= axis[1] - axis[0] if axis.size > 1 else 1.0
-        weights = np.add.reduceat(
-            weights, np.r_[0, whole.size - axis.size + 1 : whole.size], axis=i
-        )
-    with np.errstate(divide="ignore"):
-        return np.log(weights)
-
-
-def with_tail(model: WeberModel, name: str, axis: Array, lowest: float = -4.5) -> Array:
-    """The nodes of a lapse carried on below the first, where that is none at all, to a score."""
-    if axis.size == 1 or axis[0] > model.no_lapse[name] + 1e-9:
-        return axis
-    transform = model.transforms[model.lead.index(name)]
-    step = axis[1] - axis[0]
-    below = max(int((axis[0] - float(transform.coordinate(lowest))) / step), 0)
-    return axis[0] + step * np.arange(-below, axis.size)
+    """Log prior probability of the lapse nodes, (Lo, Hi)."""
+    steps = [a[1] - a[0] for a in (low, high) if a.size > 1]
+    return lapse_prior(model, low, high) + float(np.log(steps).sum())
 
 
 @lru_cache(maxsize=64)
@@ -186,13 +166,12 @@ def even(low: float, high: float, step: float) -> Array:
     return np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
 
 
-def everything(model: WeberModel, count: int, far: float = 8.0, far_lapse: float = 5.0) -> Windows:
-    """Windows with whatever there may be, up to these scores."""
+def everything(model: WeberModel, count: int) -> Windows:
+    """Windows with whatever there may be: 8 sds of the priors, 5 of those of lapses."""
+    far = 8.0
     lapses = [
-        (model.no_lapse[name], float(transform.coordinate(far_lapse))) if free else (0.0, 0.0)
-        for name, transform, free in zip(
-            model.lead[-2:], model.transforms[-2:], model.free[-2:], strict=True
-        )
+        (float(transform.coordinate(-5.0)), float(transform.coordinate(5.0))) if free else (0.0, 0.0)
+        for transform, free in zip(model.transforms[-2:], model.free[-2:], strict=True)
     ]
     bias = (-far, far) if model.free_bias else (0.0, 0.0)
     box = np.array([*lapses, *[bias] * model.n_groups])

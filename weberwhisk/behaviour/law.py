@@ -12,7 +12,7 @@ from .._util.threads import one_blas_thread
 from .._util.values import Array
 from .axes import lapse_prior, score_prior
 from .estimates import Estimates, check_fit
-from .integrate import PosteriorGrid, integrate, refined
+from .integrate import PosteriorGrid, integrate
 from .integrate.batch import over_fractions
 from .posteriors import QuadraturePosterior
 from .verdict import strength
@@ -78,7 +78,7 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
         raise ValueError("the Weber fraction is fixed; give it a prior to test Weber's law.")
     rows = []
     for standard, part in model.by_standard():
-        own = QuadraturePosterior(part.merged(), refined(part.merged()), 0)
+        own = QuadraturePosterior(part.merged(), integrate(part.merged()), 0)
         k = own.quantile("weber_fraction", [0.5, 0.025, 0.975])
         rows.append((standard, int(part.cells.n.sum()), *k))
     table = pd.DataFrame(rows, columns=["standard", "n", "weber_fraction", "lower", "upper"])

@@ -147,18 +147,18 @@ class WeberModel:
             for is_lapse in [name in self.lapse_names]
         )
 
-    @cached_property
-    def no_lapse(self) -> dict[str, float]:
-        """Coordinates under which each lapse loses no trial, but a hundredth of one."""
-        z, out = np.linspace(-3.5, 3.0, 151), {}
-        for name, transform in zip(self.lead[-2:], self.transforms[-2:], strict=True):
-            lost = self.value(name, z) * max(float(self.cells.n.sum()), 1.0)
-            out[name] = float(transform.coordinate(z[max(int(np.searchsorted(lost, 0.01)) - 1, 0)]))
-        return out
-
     def at(self, name: str, coordinate: ArrayLike) -> Array:
         """A lead parameter at a coordinate of the grid."""
         return self.value(name, self.transforms[self.lead.index(name)].score(coordinate))
+
+    @cached_property
+    def score_precision(self) -> Array:
+        """Precision of the free lead scores under their prior, where two lapses are correlated."""
+        free = np.array(self.free)
+        covariance = np.eye(free.size)
+        if free[-2:].all():
+            covariance[-1, -2] = covariance[-2, -1] = self.priors.lapse_correlation
+        return np.linalg.inv(covariance[np.ix_(free, free)])
 
     @cached_property
     def membership(self) -> Array:

@@ -13,25 +13,16 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, RegularGridInterpolator
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from .._util.values import Array
-from .axes import bias_at, log_lapses_possible
-from .integrate import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
+from .axes import bias_at
+from .integrate import PosteriorGrid, density_of, log_marginal
 from .likelihood import Draws, WeberModel
 from .priors import REACH
-
-
-def score_precision(model: WeberModel) -> Array:
-    """Precision matrix of the free lead scores under their prior: the lapses of an observer, one
-    at either end, are correlated."""
-    free = np.array(model.free)
-    covariance = np.eye(free.size)
-    if free[-2:].all():
-        covariance[-1, -2] = covariance[-2, -1] = model.priors.lapse_correlation
-    return np.linalg.inv(covariance[np.ix_(free, free)])
 
 
 def split(model: WeberModel, theta: Array) -> tuple[Array, Array]:
@@ -48,81 +39,30 @@ def log_posterior(model: WeberModel, theta: Array) -> Array:
     """Log density of the free scores and biases (..., D), not normalised; −∞ without a rise."""
     scores, bias = split(model, theta)
     k, effects, low, high = model.at_scores(scores)
-    free = scores[..., np.flatnonzero(model.free)]
+    free = theta[..., : sum(model.free)]
     out = model.log_likelihood(k, low, high, bias, effects)
-    out = out - 0.5 * np.einsum("...i,ij,...j->...", free, score_precision(model), free)
+    out = out - 0.5 * np.einsum("...i,ij,...j->...", free, model.score_precision, free)
     out = out + model.log_bias_prior(bias).sum(axis=-1)
     return np.where(sum(model.lapses(low, high)) < 1, out, -np.inf)
 
 
-def find_mode(model: WeberModel, scores: Array) -> tuple[Array, Array]:
-    """Mode of the free scores and biases (D,), from these lead scores on, and the Fisher
-    information there.
+def find_mode(model: WeberModel, start: Array) -> tuple[Array, Array]:
+    """Mode of the free scores and biases (D,), found from a start, and their covariance there."""
 
-    Levenberg–Marquardt on the binomial likelihood with the priors; only the place of the nodes
-    depends on it, so the bias prior enters as a normal of its mean and sd, and overdispersion
-    stays where it starts.
-    """
-    free = np.flatnonzero(model.free)
-    n_bias = model.n_groups if model.free_bias else 0
-    mean, sd = model.priors.moments("bias") if n_bias else (0.0, 1.0)
-    prior_mean = np.r_[np.zeros(free.size), np.full(n_bias, mean)]
-    precision = np.diag(np.full(free.size + n_bias, 1 / sd**2))
-    precision[: free.size, : free.size] = score_precision(model)
-    n, x = model.cells.n, model.cells.count
-    if model.dispersed is not None:  # worth fewer trials than there are
-        rho = float(model.value(model.effects[model.dispersed].name, 0.0))
-        n, x = (a / (1 + np.maximum(model.cells.n - 1, 0) * rho) for a in (n, x))
+    def cost(theta: Array) -> Array:
+        return -np.maximum(log_posterior(model, theta), -1e10)
 
-    def probability(theta: Array) -> tuple[Array, Array]:
-        z, bias = split(model, theta)
-        k, effects, low, high = model.at_scores(z)
-        return model.probability(k, low, np.minimum(high, 1 - low), bias, effects)
+    def slope(theta: Array) -> Array:
+        nudge = 1e-4 * np.eye(theta.size)
+        return (cost(theta + nudge) - cost(theta - nudge)) / 2e-4
 
-    def objective(p: Array, q: Array, theta: Array) -> float:
-        off = theta - prior_mean
-        return float(x @ np.log(p) + (n - x) @ np.log(q) - 0.5 * off @ precision @ off)
-
-    theta = np.r_[scores[free], prior_mean[free.size :]]
-    nudge = 1e-3 * np.eye(theta.size)
-    damping, information = 1e-3, precision
-    for _ in range(60):
-        p, q = probability(np.concatenate([theta[None], theta + nudge, theta - nudge]))
-        best = objective(p[0], q[0], theta)
-        slopes = (p[1 : 1 + theta.size] - p[1 + theta.size :]) / 2e-3
-        gradient = slopes @ (x / p[0] - (n - x) / q[0]) - precision @ (theta - prior_mean)
-        information = (slopes * (n / (p[0] * q[0]))) @ slopes.T + precision
-        moved = False
-        while damping < 1e8:
-            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            step = np.clip(step, -2.0, 2.0)
-            p, q = probability((theta + step)[None])
-            if objective(p[0], q[0], theta + step) >= best:
-                theta, damping, moved = theta + step, max(damping * 0.1, 1e-9), True
-                break
-            damping *= 10
-        if not moved or step @ information @ step < 1e-2:
-            break
-    theta[: free.size] = np.clip(theta[: free.size], -REACH, REACH)
-    return theta, information
+    found = minimize(cost, start, jac=slope, method="BFGS", options={"gtol": 1e-3})
+    return found.x, found.hess_inv
 
 
-def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
-    """The most probable values of the inferred parameters, found from these lead scores on.
-
-    Most probable in the normal scores of the priors (for the Weber fraction that is in ln k): the
-    lapses' density itself has no top, it grows without end towards 0.
-    """
-    if not model.names:
-        return {}
-    centre, information = find_mode(model, scores)
-    scale = 1 / np.sqrt(np.diag(information))
-
-    def cost(step: Array) -> float:
-        return -max(float(log_posterior(model, centre + scale * step)), -1e10)
-
-    found = minimize(cost, np.zeros(centre.size), method="Powell", options={"xtol": 1e-5})
-    one = model.draws_at(*split(model, (centre + scale * found.x)[None]))
+def named_values(model: WeberModel, theta: Array) -> dict[str, float]:
+    """Free scores and biases (D,) as values of the inferred parameters."""
+    one = model.draws_at(*split(model, theta[None]))
     return {name: float(value[0]) for name, value in one.named(model).items()}
 
 
@@ -175,21 +115,11 @@ class QuadraturePosterior:
         cdf = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
         return values, cdf / cdf[-1], density / density.sum()
 
-    @cached_property
-    def _grid_of_biases(self) -> PosteriorGrid:
-        """The grid, finer in the lapses where each bias by itself leaves these little width."""
-        wanted = Tolerance(given_bias=0.2)
-        if self.grid.given_bias < wanted.given_bias or np.isinf(self.grid.error):
-            return self.grid
-        finer = integrate(self.model, wanted)
-        return finer if np.isfinite(finer.error) else self.grid
-
     def _bias_density(self, group: int) -> tuple[Array, Array]:
         """Density of one bias: the mixture over k of its conditionals, each a spline."""
-        blocks = self._grid_of_biases.biases[group]
+        blocks = self.grid.biases[group]
         most = max(mass.sum(axis=1).max() for _, mass in blocks)
-        # One conditional alone must be as fine as the common axis; many fill it in between them.
-        factor = 32 if sum(len(nodes) for nodes, _ in blocks) < 100 else 8
+        factor = 32  # finer than the nodes of one conditional, so that it fills the common axis
         places, weights = [], []
         for nodes, mass in blocks:
             above = mass.sum(axis=1) > 1e-7 * most
@@ -232,9 +162,14 @@ class QuadraturePosterior:
         return self.grid.axes[0][span], log_density[span]
 
     def mode(self) -> dict[str, float]:
-        at = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
-        point = np.array([a[i] for a, i in zip(self.grid.axes, at, strict=True)])
-        return map_point(self.model, self._scores(point))
+        if not self.model.names:
+            return {}
+        node = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
+        point = np.array([a[i] for a, i in zip(self.grid.axes, node, strict=True)])
+        names = self.model.group_names if self.model.free_bias else ()
+        biases = [float(self.quantile(name, 0.5)) for name in names]
+        start = np.r_[self._scores(point)[np.flatnonzero(self.model.free)], biases]
+        return named_values(self.model, find_mode(self.model, start)[0])
 
     def draws(self) -> Draws:
         return self._draws
@@ -247,74 +182,60 @@ class QuadraturePosterior:
 
     def _lead_draws(self, rng: np.random.Generator) -> Array:
         """Coordinates of k, effects, lapses by rejection, (N, lead): proposed from the grid,
-        interpolated linearly, kept by the exact density. For a log-concave bump the ratio of the
-        two is bounded in the tails."""
-        g = self.grid
-        free = [i for i, axis in enumerate(g.axes) if axis.size > 1]
+        interpolated linearly, kept by a cubic spline of its log density."""
+        free = [i for i, axis in enumerate(self.grid.axes) if axis.size > 1]
+        out = np.zeros((self.n_draws, len(self.grid.axes)))
         if not free:
-            return np.zeros((self.n_draws, len(g.axes)))
-        axes = [g.axes[i] for i in free]
-        joint = np.exp(g.joint - g.joint.max()).reshape([a.size for a in axes])
-        steps = np.array([a[1] - a[0] for a in axes])
-        proposal = RegularGridInterpolator(axes, joint, bounds_error=False, fill_value=0.0)
-        cumulative = np.cumsum(joint.ravel())
-        kept: list[Array] = []
-        bound = 0.0
-        while sum(map(len, kept)) < self.n_draws:
+            return out
+        first, step = np.array([(a[0], a[1] - a[0]) for a in (self.grid.axes[i] for i in free)]).T
+        log = self.grid.joint.squeeze() - self.grid.joint.max()
+        # A spline through the fall to empty nodes would ring.
+        log = np.maximum(log, log[np.isfinite(log)].min() - 1.0)
+        spline = spline_filter(log)
+        cumulative = np.cumsum(np.exp(log).ravel())
+        kept, count, bound = [], 0, 0.0
+        while count < self.n_draws:
             node = np.searchsorted(cumulative, rng.random(2048) * cumulative[-1], side="right")
-            place = np.column_stack(
-                [a[i] for a, i in zip(axes, np.unravel_index(node, joint.shape), strict=True)]
-            )
-            place = place + steps * (rng.random(place.shape) - rng.random(place.shape))
-            inside = proposal(place)
-            place, inside = place[inside > 0], inside[inside > 0]
-            z = np.zeros((len(place), len(g.axes)))
-            z[:, free] = place
-            ratio = np.exp(self._log_density(z, free) - g.joint.max()) / inside
+            place = np.array(np.unravel_index(node, log.shape), dtype=float)
+            place += rng.random(place.shape) - rng.random(place.shape)
+            place = place[:, ((place >= 0) & (place.T <= np.array(log.shape) - 1).T).all(axis=0)]
+            inside = map_coordinates(np.exp(log), place, order=1)
+            ratio = np.exp(map_coordinates(spline, place, prefilter=False)) / inside
             # The largest ratios are far out, where hardly anything is proposed.
             bound = bound or float(np.quantile(ratio, 0.999))
-            kept.append(z[rng.random(len(z)) * bound < ratio])
-        return np.concatenate(kept)[: self.n_draws]
+            kept.append(place[:, rng.random(ratio.size) * bound < ratio])
+            count += kept[-1].shape[1]
+        out[:, free] = first + step * np.hstack(kept)[:, : self.n_draws].T
+        return out
 
     def _scores(self, t: Array) -> Array:
         """Scores at grid coordinates, (..., lead)."""
         columns = [s.score(t[..., i]) for i, s in enumerate(self.model.transforms)]
         return np.stack(columns, axis=-1)
 
-    def _log_density(self, t: Array, free: list[int]) -> Array:
-        """Log density of the coordinates at scattered places, (M,), biases integrated."""
-        z = self._scores(t)
-        log_mass, _, _ = self._conditional(t, 1)
-        _, _, low, high = self.model.at_scores(z)
-        possible = np.where(sum(self.model.lapses(low, high)) < 1, 0.0, -np.inf)
-        precision = score_precision(self.model)
-        x = z[:, free]
-        prior = -0.5 * np.einsum("mi,ij,mj->m", x, precision, x)
-        prior += 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * len(free) * np.log(2 * np.pi)
-        prior -= log_lapses_possible(self.model.task, self.model.priors)
-        for i in free:
-            prior += np.log(self.model.transforms[i].slope(t[:, i]))
-        return np.asarray(logsumexp(log_mass, axis=1).sum(axis=1) + prior + possible)
-
-    def _conditional(self, t: Array, finer: int) -> tuple[Array, Array, Array]:
-        """Log mass of bias nodes given the rest, at coordinates (M, lead): (M, B, G); the scores
-        of these nodes, and their steps (M, G). They lie where the grid found the bias to be."""
+    def _bias_draws(self, rng: np.random.Generator, t: Array) -> Array:
+        """Biases (N, G) given the rest, at coordinates (N, lead), on nodes where the grid found
+        the bias to be."""
         m = self.model
+        if not m.free_bias:
+            return np.full((len(t), m.n_groups), m.fixed_bias())
         k, effects, low, high = m.at_scores(self._scores(t))
         first, last = self._bias_span(t)
-        count = finer * (self.grid.bias_nodes - 1) + 1
-        score = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, count)[:, None]
-        step = (last - first) / max(count - 1, 1)
-        log_mass, bias = np.empty(score.shape), bias_at(m, score)
-        rows = max(1, 40_000 // (count * max(m.cells.n.size, 1)))
+        share = np.linspace(0, 1, 4 * (self.grid.bias_nodes - 1) + 1)
+        out = np.empty(first.shape)
+        rows = max(1, 40_000 // (share.size * max(m.cells.n.size, 1)))
         for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
-            cells = m.cell_log_likelihood(
-                k[i, None], low[i, None], high[i, None], bias[i], effects[i, None]
+            step = (last[i] - first[i]) * share[1]
+            score = first[i, None] + (last - first)[i, None] * share[:, None]
+            by_cell = m.cell_log_likelihood(
+                k[i, None], low[i, None], high[i, None], bias_at(m, score), effects[i, None]
             )
-            log_mass[i] = cells @ m.membership
-        if m.free_bias:
-            log_mass += -0.5 * score**2 - 0.5 * np.log(2 * np.pi) + np.log(step)[:, None]
-        return log_mass, score, step
+            log_mass = by_cell @ m.membership - 0.5 * score**2
+            below = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
+            node = (below < rng.random((len(step), 1, m.n_groups)) * below[:, -1:]).sum(axis=1)
+            at = np.take_along_axis(score, node[:, None], axis=1)[:, 0]
+            out[i] = at + step * (rng.random(at.shape) - rng.random(at.shape))
+        return bias_at(m, out)
 
     def _bias_span(self, t: Array) -> tuple[Array, Array]:
         """Between which scores each bias lies, (M, G), by the outer nodes around."""
@@ -329,19 +250,6 @@ class QuadraturePosterior:
             node = np.ravel_multi_index(at, shape)
             first, last = np.minimum(first, low[:, node]), np.maximum(last, high[:, node])
         return first.T, last.T
-
-    def _bias_draws(self, rng: np.random.Generator, t: Array) -> Array:
-        if not self.model.free_bias:
-            return np.full((len(t), self.model.n_groups), self.model.fixed_bias())
-        out = []
-        for part in np.array_split(t, max(len(t) // 500, 1)):
-            log_mass, score, step = self._conditional(part, 4)
-            weight = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
-            wanted = rng.random((len(part), 1, weight.shape[2])) * weight[:, -1:, :]
-            at = np.minimum((weight < wanted).sum(axis=1), score.shape[1] - 1)
-            node = np.take_along_axis(score, at[:, None, :], axis=1)[:, 0, :]
-            out.append(node + step * (rng.random(node.shape) - rng.random(node.shape)))
-        return bias_at(self.model, np.concatenate(out))
 
 
 @dataclass(frozen=True)
@@ -381,7 +289,8 @@ class SampledPosterior:
         return axis, logsumexp(log, axis=0)
 
     def mode(self) -> dict[str, float]:
-        return map_point(self.model, np.zeros(len(self.model.lead)))
+        dim = sum(self.model.free) + self.model.free_bias * self.model.n_groups
+        return named_values(self.model, find_mode(self.model, np.zeros(dim))[0])
 
     def draws(self) -> Draws:
         return self.sample
@@ -395,64 +304,31 @@ WeberPosterior: TypeAlias = QuadraturePosterior | SampledPosterior
 
 
 def sample(
-    model: WeberModel,
-    *,
-    seed: int | np.random.SeedSequence | np.random.Generator,
-    ensembles: int = 4,
-    precision: float = 0.03,
+    model: WeberModel, *, seed: int | np.random.SeedSequence | np.random.Generator
 ) -> SampledPosterior:
-    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
+    """Sample the posterior with emcee, four ensembles of the scores and biases.
 
-    R-hat compares so many independent ensembles; `precision` is the Monte Carlo error requested, in
-    posterior sds. `trouble` says so where the run has not converged.
+    `trouble` says so where the run has not converged, to 0.03 sds of every parameter.
     """
     from .._util.ensemble import Shortfall, sample_stacked
 
     rng = np.random.default_rng(seed)
-    free = np.flatnonzero(model.free)
-    dim = free.size + (model.n_groups if model.free_bias else 0)
+    dim = sum(model.free) + model.free_bias * model.n_groups
     if dim == 0:
         raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
-    transforms = [model.transforms[i] for i in free]
-    ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
-
-    def with_scores(theta: Array) -> Array:
-        """Scores in place of the coordinates."""
-        out = theta.copy()
-        for i, transform in enumerate(transforms):
-            out[..., i] = transform.score(theta[..., i])
-        return out
 
     def log_density(theta: Array) -> Array:
-        t = theta[..., : free.size]
-        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
-        out = log_posterior(model, with_scores(theta))
-        for i, transform in enumerate(transforms):
-            out = out + np.log(transform.slope(t[..., i]))
-        return np.where(inside, out, -np.inf)
+        inside = (np.abs(theta[..., : sum(model.free)]) < REACH).all(axis=-1)
+        return np.where(inside, log_posterior(model, theta), -np.inf)
 
-    centre, information = find_mode(model, np.zeros(len(model.lead)))
-    root = np.linalg.cholesky(np.linalg.inv(information))
-    walkers = max(64, 4 * dim)
-    centre[: free.size] = [s.coordinate(z) for s, z in zip(transforms, centre, strict=False)]
-    # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
-    for _ in range(60):
-        if np.isfinite(log_density(centre)):
-            break
-        centre[: free.size] *= 0.9
-    per_score = np.ones(dim)
-    at = centre[: free.size]
-    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(transforms, at, strict=True)]
-    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
+    centre, covariance = find_mode(model, np.zeros(dim))
+    root = np.linalg.cholesky(covariance)
+    start = centre + rng.standard_normal((1, 4, max(32, 4 * dim), dim)) @ root.T
     # A start outside the support is pulled towards the mode until it is inside.
-    for _ in range(60):
-        lost = ~np.isfinite(log_density(start))
-        if not lost.any():
-            break
+    while (lost := ~np.isfinite(log_density(start))).any():
         start[lost] = centre + 0.5 * (start[lost] - centre)
-    run = sample_stacked(log_density, start, seed=rng, precision=precision)
+    run = sample_stacked(log_density, start, seed=rng, precision=0.03)
     flat = run.values[0].reshape(-1, dim)
-    error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
+    error = float(np.max(run.mcse_mean[0] / run.sd[0]))
     trouble = "" if run.converged[0] else f"emcee: {Shortfall(int(run.shortfall[0])).message}"
-    draws = model.draws_at(*split(model, with_scores(flat)))
-    return SampledPosterior(model, draws, ensembles, error, trouble)
+    return SampledPosterior(model, model.draws_at(*split(model, flat)), 4, error, trouble)

@@ -13,7 +13,7 @@ from scipy import stats
 
 from .._util.threads import one_blas_thread
 from .._util.values import Array
-from .integrate import integrate, refined
+from .integrate import integrate
 from .likelihood import WeberModel
 from .posteriors import QuadraturePosterior, WeberPosterior
 
@@ -206,7 +206,7 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
             changed: dict[str, Any] = dict.fromkeys(free, belief)
             priors = replace(model.priors, **changed)
             other = replace(model, priors=priors).merged()
-            grid = QuadraturePosterior(other, refined(other), 0)
+            grid = QuadraturePosterior(other, integrate(other), 0)
             rows.append((words, *grid.quantile("weber_fraction", [0.5, 0.025, 0.975])))
     table = pd.DataFrame(rows, columns=["lapses", "weber_fraction", "lower", "upper"])
     table["change"] = table["weber_fraction"] / own[0] - 1
