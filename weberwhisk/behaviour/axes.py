@@ -170,7 +170,9 @@ def everything(model: WeberModel, count: int) -> Windows:
     """Windows with whatever there may be: 8 sds of the priors, 5 of those of lapses."""
     far = 8.0
     lapses = [
-        (float(transform.coordinate(-5.0)), float(transform.coordinate(5.0))) if free else (0.0, 0.0)
+        (float(transform.coordinate(-5.0)), float(transform.coordinate(5.0)))
+        if free
+        else (0.0, 0.0)
         for transform, free in zip(model.transforms[-2:], model.free[-2:], strict=True)
     ]
     bias = (-far, far) if model.free_bias else (0.0, 0.0)

@@ -107,8 +107,8 @@ def fit_weber(
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where
         the levels were chosen to bracket the animal's thresholds. See `Priors`.
     method : {"quadrature", "emcee"}, optional
-        By default quadrature up to five parameters (biases of standards count as one, being
-        integrated one by one), and emcee beyond.
+        By default quadrature up to six parameters, five with overdispersion (biases of standards
+        count as one, being integrated one by one), and emcee beyond.
     distances : DataFrame or path, optional
         Where the touches of each trial were located (`ww.locate`), in place of nominal distances,
         or the contacts to locate by the observer's whisker; see `with_distances`. Of an observer

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,7 +49,7 @@ def log_posterior(model: WeberModel, theta: Array) -> Array:
 def find_mode(model: WeberModel, start: Array) -> tuple[Array, Array]:
     """Mode of the free scores and biases (D,), found from a start, and their covariance there."""
 
-    def cost(theta: Array) -> Array:
+    def cost(theta: Array) -> Any:
         return -np.maximum(log_posterior(model, theta), -1e10)
 
     def slope(theta: Array) -> Array:
@@ -57,7 +57,7 @@ def find_mode(model: WeberModel, start: Array) -> tuple[Array, Array]:
         return (cost(theta + nudge) - cost(theta - nudge)) / 2e-4
 
     found = minimize(cost, start, jac=slope, method="BFGS", options={"gtol": 1e-3})
-    return found.x, found.hess_inv
+    return found.x, np.asarray(found.hess_inv)
 
 
 def named_values(model: WeberModel, theta: Array) -> dict[str, float]:
@@ -191,14 +191,14 @@ class QuadraturePosterior:
         log = self.grid.joint.squeeze() - self.grid.joint.max()
         # A spline through the fall to empty nodes would ring.
         log = np.maximum(log, log[np.isfinite(log)].min() - 1.0)
-        spline = spline_filter(log)
+        spline, last = spline_filter(log), np.array(log.shape) - 1
         cumulative = np.cumsum(np.exp(log).ravel())
         kept, count, bound = [], 0, 0.0
         while count < self.n_draws:
             node = np.searchsorted(cumulative, rng.random(2048) * cumulative[-1], side="right")
             place = np.array(np.unravel_index(node, log.shape), dtype=float)
             place += rng.random(place.shape) - rng.random(place.shape)
-            place = place[:, ((place >= 0) & (place.T <= np.array(log.shape) - 1).T).all(axis=0)]
+            place = place[:, ((place >= 0) & (place <= last[:, None])).all(axis=0)]
             inside = map_coordinates(np.exp(log), place, order=1)
             ratio = np.exp(map_coordinates(spline, place, prefilter=False)) / inside
             # The largest ratios are far out, where hardly anything is proposed.

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from ..._util.values import Array
-from ..axes import Steps, Windows, lapse_prior, least_sds
+from ..axes import Steps, lapse_prior, least_sds
 from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed
 from .blocks import ChoiceNodes
