@@ -134,7 +134,7 @@ def force_map(signals: Any, r: float) -> float:
 def balance(signals: Any, r: float) -> float:
     """The distance at which a straight whisker balances the muscle where this one does."""
     low, high = 1e-4, np.radians(60.0)
-    gain = BALANCE.gain / WHISKER.moment_scale
+    gain = BALANCE.curve.gain() / WHISKER.moment_scale
     for _ in range(2):  # coarse steps, then fine ones within the one that it lies in
         theta = np.linspace(low, high, 30)
         moment, _ = signals(r, theta)

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from command import options
 from matplotlib.figure import Figure
+from scipy.special import expit
 
 from weberwhisk import plots
 from weberwhisk._util.output import Run
@@ -45,8 +46,43 @@ def effective(points: int = 201) -> pd.DataFrame:
     table = {"moment": moment[:, 0]}
     for name, noise in MODELS.items():
         table[name] = 1 / np.sqrt(moment[:, 0] ** 2 * noise.fisher(moment)[:, 0, 0])
-    table[CLOSED_FORM] = POPULATION.weber_law(moment)[:, 0]
+    table[CLOSED_FORM] = weber_law(POPULATION, moment[:, 0])
     return pd.DataFrame(table)
+
+
+def weber_law(noise: SpikeCount, signals: np.ndarray) -> np.ndarray:
+    """Effective Weber fractions (n,) of signals (n,), as if thresholds lay densely.
+
+    Each afferent's share of the axis of ln c is integrated over, so that the plateau and both of
+    its ends are there; see the notes of `SpikeCount`. For thresholds that are the same for all
+    signals, and classes of two afferents or more.
+    """
+    window, rise = noise.window, min(noise.rise_time, noise.window)
+    total = np.zeros(len(signals))
+    for part, time, unit in ((noise.slow, window, 1.0), (noise.rapid, rise, noise.rise_time)):
+        if part is None:
+            continue
+        low, high = np.log(part.lowest * unit), np.log(part.highest * unit)
+        spacing = np.maximum(high - low, 1e-4) / (part.number - 1)  # thresholds may all be one
+        high = low + spacing * (part.number - 1)
+        edges = low - spacing / 2, high + spacing / 2
+        most, least = (expit(part.exponent * (np.log(signals) - edge)) for edge in edges)
+        peak = part.peak_rate * time
+        rest = part.spontaneous_rate * window / peak
+        share = _share(rest, least, most)
+        if noise.gain_sd > 0:
+            share = share - _share(rest + 1 / (noise.gain_sd**2 * peak), least, most)
+        total += peak * part.exponent / spacing * share
+    return 1 / np.sqrt(total)
+
+
+def _share(beta: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """∫ s(1 − s)/(β + s) ds from low to high."""
+    width = high - low
+    value = (1 + beta) * width - (high**2 - low**2) / 2
+    if beta > 0:
+        value = value - beta * (1 + beta) * np.log1p(width / (beta + low))
+    return value
 
 
 @plots.styled

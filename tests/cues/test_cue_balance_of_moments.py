@@ -81,25 +81,8 @@ def test_the_edge_is_where_effort_peaks():
     for at, top in zip(r, edge, strict=True):
         theta = np.linspace(0.002, 0.9999, 3000) * ww.flick_past(W, at).deflection_angle
         moment = ww.press(W, at, theta).normalised_moment
-        effort = FELT.gain * moment / FELT.curve.moment(FELT.impact_angle + theta)
+        effort = FELT.curve.gain() * moment / FELT.curve.moment(FELT.impact_angle + theta)
         assert theta[effort.argmax()] == pytest.approx(top, rel=2e-3)
-
-
-@pytest.mark.parametrize("cue", [KNOWN, FELT], ids=repr)
-def test_it_is_inverted_wherever_there_is_a_balance(cue):
-    contact = felt_contacts(200, 3)
-    if cue is KNOWN:
-        contact = np.linspace(0.02, 0.98, 50)[:, None] * KNOWN.farthest(W)
-    signals, _ = cue.signals(W, contact)
-    r, outcome = cue.radial_distance(W, *signals.T)
-    assert np.all(outcome == Outcome.HELD)
-    assert np.allclose(r, contact[:, 0], rtol=1e-6)
-
-
-def test_what_no_balance_gives_has_no_distance():
-    r, outcome = KNOWN.radial_distance(W, np.radians([5.0, 40.0]))
-    assert np.isfinite(r).tolist() == [True, False]
-    assert outcome.tolist() == [Outcome.HELD, Outcome.OUT_OF_REACH]
 
 
 def test_the_jnd_is_the_angles_noise_over_its_slope():
@@ -198,7 +181,6 @@ def test_it_says_where_it_does_not_work():
         (lambda: BalanceOfMoments(1.8, whisking=(0.5, 3.6)), "go up between 0 and π"),
         (lambda: BalanceOfMoments(effort=0.0), "effort must be above zero"),
         (lambda: BalanceOfMoments(gain=-1.0), "gain must be above zero"),
-        (lambda: FELT.radial_distance(W, 0.1), "The effort of this cue is a signal, got none"),
         (
             lambda: ww.Observer(W, BalanceOfMoments(np.radians(149.99), effort=50.0)),
             "No contact balances an effort of 50",

@@ -302,7 +302,7 @@ def test_a_curved_whisker_balances_where_the_planar_beam_says(effort):
         angle, wanted = signals[:, 0], signals[:, 1] if effort is None else effort
         moment = planar_signals(w, r, angle, psi)[0][:, 0] / w.moment_scale
         muscle = cue.curve.moment(cue.impact_angle + angle)
-        assert cue.gain * moment / muscle == pytest.approx(wanted, rel=2e-5)
+        assert cue.curve.gain() * moment / muscle == pytest.approx(wanted, rel=2e-5)
         edge = felt.largest_angle(felt.forward(w, contact), r)
         end = profile.flick_past(w, r, psi).deflection_angle - profile.rest_angle(w, r)
         theta = np.linspace(0.01, 0.999, 200) * np.minimum(end, cue.room)[:, None]
@@ -333,7 +333,7 @@ def test_posteriors_of_a_curved_balance_are_a_plain_sum(effort, unknown):
         signals, outcome = planar_signals(w, r[:, None], theta, psi)
         muscle = cue.curve.moment(cue.impact_angle + theta)
         held = np.where(outcome == 0, signals[..., 0] / w.moment_scale, 0.0)
-        effort_of = cue.gain * held / muscle
+        effort_of = cue.curve.gain() * held / muscle
         peak = effort_of.argmax(axis=1)
         if effort is None:
             felt = np.stack([np.broadcast_to(theta, held.shape), effort_of], axis=-1)

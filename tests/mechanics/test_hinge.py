@@ -193,7 +193,9 @@ def test_a_muscle_turns_a_whisker_on_a_hinge():
     signals, outcome = cue.signals(hinged(), np.stack([r, angle], axis=-1))
     muscle = cue.curve.moment(cue.impact_angle + angle)
     assert np.all(outcome == Outcome.HELD)
-    np.testing.assert_allclose(signals[:, 1], cue.gain * moment / PLAIN.moment_scale / muscle)
+    np.testing.assert_allclose(
+        signals[:, 1], cue.curve.gain() * moment / PLAIN.moment_scale / muscle
+    )
     known = cues.BalanceOfMoments(effort=0.3)
     soft = cues.UnknownHinge(known, 0.3)
     both = soft.signals(hinged(), np.stack([r, [SOFT, SOFT]], axis=-1))[0]

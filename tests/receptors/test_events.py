@@ -51,7 +51,10 @@ def test_information_is_the_mean_square_of_the_score(noise):
 def test_the_stabilised_chances_carry_the_information(noise):
     h = 1e-6
     slope = np.stack(
-        [noise.stabilised(CHANCE + h * e) - noise.stabilised(CHANCE - h * e) for e in np.eye(3)]
+        [
+            noise.resolution(CHANCE + h * e)[0] - noise.resolution(CHANCE - h * e)[0]
+            for e in np.eye(3)
+        ]
     ) / (2 * h)
     assert slope @ slope.T == pytest.approx(noise.fisher(CHANCE), rel=1e-7)
 

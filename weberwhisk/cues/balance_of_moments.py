@@ -8,10 +8,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .._util.checks import number, positive, positive_number, shown
-from .._util.values import Array, Codes, Flags
+from .._util.checks import number, positive_number, shown
+from .._util.values import Array, Flags
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
@@ -19,10 +18,6 @@ from ..mechanics.muscle import SEPARATION, WHISKING, MuscleCurve, whisking_range
 from ..receptors import GeneralisedWeber
 from .angle_side_angle import ANGLE_SD
 from .protocol import Cue, Encoded
-
-
-class _OfCurve(float):
-    """The gain that a muscle curve calls for: a cue made with another curve takes that one's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,9 +62,6 @@ class BalanceOfMoments(Cue):
     >>> angle, outcome = cue.signals(w, np.array([[15e-3], [25e-3], [35e-3]]))
     >>> np.degrees(angle[:, 0]).round(2), [Outcome(k).name for k in outcome]
     (array([2.54, 6.09,  nan]), ['HELD', 'HELD', 'FLICKED_PAST'])
-    >>> r, outcome = cue.radial_distance(w, angle[:2, 0])
-    >>> (r * 1e3).round(6)
-    array([15., 25.])
     """
 
     takes_curved = True
@@ -77,7 +69,7 @@ class BalanceOfMoments(Cue):
     _: KW_ONLY
     effort: float | None = 1.0
     curve: MuscleCurve = MuscleCurve.NORMALISED
-    gain: float = None  # type: ignore[assignment]  # the curve's own, then
+    gain: float | None = None
     separation: float = SEPARATION
     whisking: tuple[float, float] = WHISKING
 
@@ -99,9 +91,7 @@ class BalanceOfMoments(Cue):
             effort = positive_number("effort", effort, "give a part of the largest, 0.5 say")
         width = positive_number("separation", self.separation, "give w of equation (2.2), 1.25 say")
         gain = self.gain
-        if gain is None or isinstance(gain, _OfCurve):
-            gain = _OfCurve(self.curve.gain(width))
-        else:
+        if gain is not None:
             gain = positive_number("gain", gain, "give muscle units per EI₀/L, such as 2.0")
         self._set(
             impact_angle=impact,
@@ -122,6 +112,10 @@ class BalanceOfMoments(Cue):
         return ("radial_distance", "deflection_angle")[: 1 + (self.effort is None)]
 
     @property
+    def _gain(self) -> float:
+        return self.curve.gain(self.separation) if self.gain is None else self.gain
+
+    @property
     def room(self) -> float:
         """How far whisking goes on past the impact, rad."""
         return float(self.whisking[1] - self.impact_angle)
@@ -140,7 +134,7 @@ class BalanceOfMoments(Cue):
             moment = theta * moment / (1 + forward.hinge_compliance * moment)
         else:
             moment = forward.signals(r, theta)[0][..., 0]
-        return np.asarray(self.gain * moment / forward.base.moment_scale / self._muscle(theta))
+        return np.asarray(self._gain * moment / forward.base.moment_scale / self._muscle(theta))
 
     def _slopes(
         self, whisker: Any, r: Array, theta: Array, model: str | None = None
@@ -154,7 +148,7 @@ class BalanceOfMoments(Cue):
         muscle, h = self._muscle(theta), 1e-5
         rise = (self._muscle(theta + h) - self._muscle(theta - h)) / (2 * h) / muscle
         effort = self._effort(whisker, r, theta, model)
-        return self.gain * by_r / muscle, self.gain * by_theta / muscle - effort * rise
+        return self._gain * by_r / muscle, self._gain * by_theta / muscle - effort * rise
 
     def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
         """Largest deflection (...) at which a muscle can be in balance, rad: the observer's edge.
@@ -255,33 +249,6 @@ class BalanceOfMoments(Cue):
                 f"{self.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
             )
         return last
-
-    def radial_distance(
-        self, whisker: Any, balance_angle: ArrayLike, effort: ArrayLike | None = None
-    ) -> tuple[Array, Codes]:
-        """The distance at which muscle and whisker balance at an angle, m, and its outcome.
-
-        The effort that a deflection takes falls with distance: bisection. NaN and
-        `OUT_OF_REACH` where no contact gives the angle.
-        """
-        theta = positive("balance_angle", balance_angle, "give radians past the impact")
-        known = self.effort if effort is None else effort
-        if known is None:
-            raise ValueError(
-                "The effort of this cue is a signal, got none; write effort=1.0, the largest."
-            )
-        wanted = positive("effort", known, "give a part of the largest, 0.5 say")
-        theta, wanted = np.broadcast_arrays(theta, wanted)
-        low, high = np.zeros(theta.shape), np.full(theta.shape, forward_of(whisker).reach)
-        for _ in range(60):
-            r = (low + high) / 2
-            far = ~(theta <= self.largest_angle(whisker, r))
-            effort_here = self._effort(whisker, r, np.where(far, 1e-6, theta))
-            far |= effort_here < wanted
-            low, high = np.where(far, low, r), np.where(far, r, high)
-        found = np.abs(self._effort(whisker, np.maximum(low, 1e-9), theta) / wanted - 1) < 1e-6
-        outcome = np.where(found, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-        return np.where(found, low, np.nan), outcome
 
 
 def _served(whisker: Any, model: str | None = None) -> ForwardModel:

@@ -20,7 +20,7 @@ from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
-from .protocol import Cue, Encoded, reach_at, readings, straight
+from .protocol import Cue, Encoded, reach_at, readings
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
 DIRECTIONS = ("moment_direction", "force_direction")
@@ -223,7 +223,7 @@ class ForceMap(Cue):
     def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array, steps: int) -> Array:
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
         forward = forward_of(whisker)
-        length, exact = forward.reach, "elastica" if forward.is_plain else None
+        length = forward.reach
         contact = np.stack([np.minimum(r, 0.98 * length), theta], axis=-1)
         found, size = np.full(wanted.shape, np.nan), self._size(whisker, wanted)
         left = np.arange(len(wanted))
@@ -231,7 +231,7 @@ class ForceMap(Cue):
         for _ in range(steps):
             r, theta = contact[left].T
             point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
-            signals = self.signals(whisker, point, model=exact)[0]
+            signals = self.signals(whisker, point)[0]
             miss, slope = _miss(signals, wanted[left], size[left])
             (a, b), (c, d) = np.moveaxis(
                 self.jacobian(whisker, point) * slope[..., :, None] * point[..., None, :], 0, -1
@@ -369,10 +369,9 @@ class SpaceMap(Cue):
     --------
     >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
     >>> signals, outcome = SpaceMap().signals(w, np.array([30e-3, 0.4, 1.0]))
-    >>> moment, axial = signals[0] * np.array([-np.sin(1.0), np.cos(1.0)]), signals[1]
-    >>> contact, outcome = SpaceMap().contact(w, moment, axial)
-    >>> contact.round(9)
-    array([0.03, 0.4 , 1.  ])
+    >>> flat, _ = ForceMap().signals(w, np.array([30e-3, 0.4]))
+    >>> bool((signals[:2] == flat).all()), signals[3:]
+    (True, array([1., 1.]))
     """
 
     takes_curved = True
@@ -471,33 +470,6 @@ class SpaceMap(Cue):
         runs = [(angle, len(list(group))) for angle, group in groupby(kinds)]
         noises = [GeneralisedWeber(0, floor=0.1) if angle else Weber(0.1) for angle, _ in runs]
         return Joint(noises, sizes=[n for _, n in runs]) if len(runs) > 1 else noises[0]
-
-    def contact(self, whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike) -> Encoded:
-        """The contact of a moment in two dimensions and an axial force.
-
-        Parameters
-        ----------
-        whisker : Whisker
-        moment : array, shape (..., 2)
-            About y and z, N m.
-        axial_force : array, shape (...)
-            N.
-
-        Returns
-        -------
-        contact : array, shape (..., 3)
-            r (m), θ_d and ω (rad); NaN where there is none.
-        outcome : array of int
-            As of `ForceMap.contact`; `OUT_OF_REACH` for every reading on a cylinder.
-        """
-        straight(forward_of(whisker).clamped.whisker, "posterior(), which needs no inverse")
-        about = readings("moment", moment, 2)
-        size = np.hypot(about[..., 0], about[..., 1])
-        axial = numbers("axial_force", axial_force, "give newtons")
-        pair = np.stack(np.broadcast_arrays(size, axial), axis=-1)
-        place, outcome = ForceMap().contact(whisker, pair)
-        turn = np.where(outcome == Outcome.HELD, np.arctan2(-about[..., 0], about[..., 1]), np.nan)
-        return np.concatenate([place, turn[..., None]], axis=-1), outcome
 
 
 def _is_flat(forward: ForwardModel, model: str | None) -> bool:

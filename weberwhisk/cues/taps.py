@@ -95,8 +95,6 @@ class Compliance(Cue):
         forward = forward_of(whisker, model)
         if self.tap_angle == 0:
             return forward.stiffness(r)
-        if forward.is_plain:  # the default model's last digits, by name
-            forward = forward_of(whisker, model or "elastica")
         signals, outcome = forward.signals(r, np.full_like(r, self.tap_angle))
         return signals[..., 0] / self.tap_angle, outcome
 

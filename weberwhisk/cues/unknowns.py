@@ -24,18 +24,41 @@ from .force_map import SIGNALS, SpaceMap
 from .protocol import Cue, Encoded, a_cue
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Conditioned(Cue):
-    """A cue under a condition, and in all else the cue itself."""
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class _Wrapped(Cue):
+    """A cue of one more unknown, in all else the cue itself; of none where that is known."""
 
     cue: Cue
+    #: The name of the unknown.
+    unknown: ClassVar[str]
 
-    def _under(self, whisker: Any) -> Any:
-        """The whisker, ready for any of the conditions possible."""
+    def _wrap(self, cue: Any, **values: Any) -> None:
+        """Give fields their values; refuse what is no cue, and one that has the unknown."""
+        if self.unknown in a_cue(cue).unknowns:
+            raise ValueError(
+                f"The {self.unknown} is unknown in {cue!r} already; leave it as it is."
+            )
+        self._set(cue=cue, **values)
+
+    def _refuse_straight(self) -> None:
+        """Refuse cues that take neither friction nor curvature."""
+        if not self.cue.takes_curved:
+            raise ValueError(
+                f"{self.cue!r} is for whiskers without friction whose shape is known; write "
+                "cues.ForceMap(), Compliance() or BalanceOfMoments(), or a fusion of them."
+            )
+
+    @property
+    def known(self) -> float | None:
+        """The condition where it is known."""
+        return None
+
+    def _under(self, whisker: Any, value: Any = None) -> Any:
+        """The whisker under the condition; ready for any of those possible without one."""
         raise NotImplementedError
 
-    def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
-        """The whisker under the condition, and the contact as the cue takes it."""
+    def _prior(self, whisker: Any) -> Any:
+        """Of the unknown, a frozen SciPy distribution."""
         raise NotImplementedError
 
     @property
@@ -68,43 +91,6 @@ class Conditioned(Cue):
 
     def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
         return self.cue.largest_angle(whisker, radial_distance)
-
-
-@dataclass(frozen=True, eq=False, repr=False, init=False)
-class _Wrapped(Conditioned):
-    """One more unknown where the condition is not known."""
-
-    #: The name of the unknown.
-    unknown: ClassVar[str]
-
-    def _wrap(self, cue: Any, **values: Any) -> None:
-        """Give fields their values; refuse what is no cue, and one that has the unknown."""
-        if self.unknown in a_cue(cue).unknowns:
-            raise ValueError(
-                f"The {self.unknown} is unknown in {cue!r} already; leave it as it is."
-            )
-        self._set(cue=cue, **values)
-
-    def _refuse_straight(self) -> None:
-        """Refuse cues that take neither friction nor curvature."""
-        if not self.cue.takes_curved:
-            raise ValueError(
-                f"{self.cue!r} is for whiskers without friction whose shape is known; write "
-                "cues.ForceMap(), Compliance() or BalanceOfMoments(), or a fusion of them."
-            )
-
-    @property
-    def known(self) -> float | None:
-        """The condition where it is known."""
-        return None
-
-    def _under(self, whisker: Any, value: Any = None) -> Any:
-        """The whisker under the condition; ready for any of those possible without one."""
-        raise NotImplementedError
-
-    def _prior(self, whisker: Any) -> Any:
-        """Of the unknown, a frozen SciPy distribution."""
-        raise NotImplementedError
 
     @property
     def all_but_one(self) -> Cue | None:  # type: ignore[override]

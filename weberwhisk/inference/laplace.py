@@ -94,7 +94,7 @@ def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
     signals, outcome = observer.signals(contact)
     held = np.asarray(outcome == Outcome.HELD)
     signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
-    return lambda reading: observer.noise.log_likelihoods(reading, signals) + log_prior
+    return lambda reading: observer.noise.log_likelihood(reading[:, None], signals) + log_prior
 
 
 def climb(

@@ -115,7 +115,7 @@ class LogNormal(Proportional):
         return np.where(possible, value, -np.inf)
 
     def gaussian_root(self, size: int) -> Array:
-        return self._logs.root(size)
+        return self._logs.gaussian_root(size)
 
     def as_gaussian(self, signals: Array) -> tuple[Array, Array]:
         return self._centre(signals) + _SIDE * (signals < 0), self._logs.sd(signals)
@@ -244,16 +244,13 @@ class Events(ReceptorNoise):
             np.where(possible[..., None], self.reports, -np.inf).max(axis=-2),
         )
 
-    def stabilised(self, signals: ArrayLike) -> Array:
+    def resolution(self, signals: Array) -> tuple[Array, Array]:
         """2√chance, (..., C): smooth where chances vanish, with steps of one JND of length one.
 
         The arc length of this curve is ∫√(information), as Σp'²/p = Σ(d 2√p)² (Fisher, 1922).
         Far below 1e-12, where chances may be rounding, it is level.
         """
-        return np.asarray(2 * np.sqrt(self.chances(signals) + 1e-12))
-
-    def resolution(self, signals: Array) -> tuple[Array, Array]:
-        place = self.stabilised(signals)
+        place = 2 * np.sqrt(self.chances(signals) + 1e-12)
         return place, np.ones_like(place)
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:

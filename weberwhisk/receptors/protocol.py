@@ -183,10 +183,6 @@ class ReceptorNoise(Value):
         """
         return self.mean(signals), self.sd(signals)
 
-    def log_likelihoods(self, reading: Array, signals: Array) -> Array:
-        """`log_likelihood` of readings (B, R) at each of signals (N, S), a new array (B, N)."""
-        return self.log_likelihood(reading[:, None], signals)
-
     def _with(self, **values: Any) -> Any:
         """Itself with other values of those of these fields that it has."""
         own = {f.name for f in fields(self)}  # type: ignore[arg-type]
@@ -342,9 +338,6 @@ class Joint(ReceptorNoise):
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
-
-    def log_likelihoods(self, reading: Array, signals: Array) -> Array:
-        return reduce(np.add, (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals)))
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         rng = np.random.default_rng(seed)

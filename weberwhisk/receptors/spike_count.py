@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import expit, gammaln
+from scipy.special import gammaln
 
 from .._util.checks import non_negative_number, positive, positive_number, shown, whole
 from .._util.values import Array, Value
@@ -282,29 +282,14 @@ class SpikeCount(ReceptorNoise):
                 f"Spike counts are whole and not negative, got {reading[refused][0]:g}; "
                 "a reading has one for each afferent."
             )
-        if signals.ndim > 1 and reading.ndim in (1, signals.ndim):  # long tables go in pieces
-            # 100 000 counts together fit the cache.
-            rows = max(1, 100_000 // max(1, int(np.prod(signals.shape[1:])) * self.number))
-            one = reading.ndim == 1 or len(reading) == 1
-            if len(signals) > rows and (one or len(reading) == len(signals)):
-                pieces = [slice(i, i + rows) for i in range(0, len(signals), rows)]
-                return np.concatenate(
-                    [
-                        self._log_likelihood(reading if one else reading[p], signals[p])
-                        for p in pieces
-                    ]
-                )
-        return self._log_likelihood(reading, signals)
-
-    def _log_likelihood(self, counts: Array, signals: Array) -> Array:
         mean = _flat(self._mean(self._activation(signals)))
         natural, normaliser = np.log(mean), mean
         if self.gain_sd > 0:
             gain = self.gain_sd**2
             normaliser = np.log1p(gain * mean) / gain
             natural = natural - gain * normaliser
-        value = np.einsum("...r,...r->...", counts, natural) - normaliser.sum(axis=-1)
-        return np.asarray(value + self._log_base(counts).sum(axis=-1))
+        value = np.einsum("...r,...r->...", reading, natural) - normaliser.sum(axis=-1)
+        return np.asarray(value + self._log_base(reading).sum(axis=-1))
 
     def _log_base(self, counts: Array) -> Array:
         """The term without I, looked up where counts are fewer than readings."""
@@ -341,43 +326,6 @@ class SpikeCount(ReceptorNoise):
         """Least sd of ln |signal| that the counts allow, 1/√(I²·Fisher information), (..., S)."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.sqrt(self._log_information(np.asarray(signals, dtype=float))))
-
-    def weber_law(self, signals: ArrayLike) -> Array:
-        """`effective_weber_fraction` in closed form, as if thresholds lay densely, (..., S).
-
-        Each afferent's share of the axis of ln c is integrated over, so that the plateau and both
-        of its ends are there; see the class's notes. Classes of one afferent are left out.
-        """
-        with np.errstate(divide="ignore"):
-            log_magnitude = np.log(np.abs(np.asarray(signals, dtype=float)))
-        total = np.zeros(log_magnitude.shape)
-        for part, time in self._classes:
-            if part.number == 1:
-                continue
-            low, high = np.log(part.lowest), np.log(part.highest)
-            spacing = np.maximum(high - low, 1e-4) / (part.number - 1)  # thresholds may all be one
-            high = low + spacing * (part.number - 1)
-            s_low, s_high = (
-                expit(part.exponent * (log_magnitude - edge))
-                for edge in (low - spacing / 2, high + spacing / 2)
-            )
-            peak = part.peak_rate * time
-            rest = part.spontaneous_rate * self.window / peak
-            share = _j(rest, s_high, s_low)
-            if self.gain_sd > 0:
-                share = share - _j(rest + 1 / (self.gain_sd**2 * peak), s_high, s_low)
-            total = total + peak * part.exponent / spacing * share
-        with np.errstate(divide="ignore"):
-            return np.asarray(1 / np.sqrt(np.maximum(total, 0.0)))
-
-
-def _j(beta: float, low: Array, high: Array) -> Array:
-    """∫ s(1 − s)/(β + s) ds from low to high."""
-    width = high - low
-    value = (1 + beta) * width - (high**2 - low**2) / 2
-    if beta > 0:
-        value = value - beta * (1 + beta) * np.log1p(width / (beta + low))
-    return np.asarray(value)
 
 
 def _off_zero(signals: Array) -> Array:
