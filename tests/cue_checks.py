@@ -135,32 +135,6 @@ def agrees_with_brute_force(observer, readings, accuracy=1e-4, **options):
         assert abs(p.sd[i] / sd - 1) < accuracy
 
 
-def share_covered(observer, n, seed):
-    """Share of 95 % intervals of r that hold the truth, for truths drawn from the prior.
-
-    By quadrature with one unknown; with more by emcee, whose intervals come many at a time.
-    """
-    contact = prior_draws(observer, n, seed)
-    method = "quadrature" if len(observer.unknowns) == 1 else "emcee"
-    p = ww.posterior(observer, observer.read(contact, seed + 1), method, seed=seed + 2)
-    low, high = p.interval(0.95).T
-    return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
-
-
-def covers(observer, n=2000, seed=1):
-    """The share covered is 95 % within what n draws can tell, and within 93 to 97 % for 2000."""
-    margin = SDS * np.sqrt(0.95 * 0.05 / n)
-    assert abs(share_covered(observer, n, seed) - 0.95) < margin
-
-
-def is_calibrated(observer, n=2000, seed=1):
-    """E[((r − mean)/sd)² | reading] = 1 for every reading: intervals' cheaper sister in 2-D."""
-    contact = prior_draws(observer, n, seed)
-    p = ww.posterior(observer, observer.read(contact, seed + 1))
-    square = ((contact[:, 0] - p.mean) / p.sd) ** 2
-    assert abs(square.mean() - 1) < SDS * square.std(ddof=1) / np.sqrt(n)
-
-
 def small_noise_limit(observer, contact, draws=200, seed=1, bias=0.0):
     """Posterior sd beside Weber propagation, within Monte Carlo error and an allowed bias."""
     readings = observer.read(np.repeat(contact, draws, axis=0), seed)

@@ -18,11 +18,9 @@ from weberwhisk.behaviour import (
     PercentCorrect,
     Priors,
     Trials,
-    checks,
     compare,
     fit_population,
     fit_weber,
-    quantile_residuals,
     read_trials,
     residuals_by,
     response_probability,
@@ -32,7 +30,7 @@ from weberwhisk.behaviour import (
     threshold,
     weber_law_test,
 )
-from weberwhisk.behaviour.effects import Drift, Floor
+from weberwhisk.behaviour.effects import Floor
 from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.behaviour.trials import joined
 from weberwhisk.receptors import GeneralisedWeber
@@ -69,70 +67,43 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: Trials(TRIALS.frame, "2AFC"), r"write task_named\('2AFC'\)"),  # type: ignore[arg-type]
     (lambda: Trials(TRIALS.frame, TASK, "ln"), "scale 'ln' is unknown"),
     (lambda: Trials(TRIALS.frame.assign(count=5), TASK), "n = 1 and count = 5"),
-    (lambda: Trials(TRIALS.frame.assign(n=-1), TASK), "n = -1"),
     # Effects and priors.
     (fitted(effects=["drift"]), r"an Effect, got 'drift'; write Drift\(\)"),
-    (fitted(effects="drift"), r"effects must be a sequence, got 'drift'"),
-    (fitted(effects=Drift()), "must be a sequence, got an object of type Drift"),
     (fitted(effects=[Floor]), r"got the class Floor; write Floor\(\)"),
-    (fitted(effects=None), "must be a sequence, got None"),
     (fitted(effects=[Floor(prior=stats.norm())]), "floor must not reach below zero"),
     (fitted(priors=[1, 2]), r"priors must be Priors or a mapping, got \[1, 2\]"),
-    (fitted(priors="flat"), "priors must be Priors or a mapping, got 'flat'"),
     (fitted(priors={"lapse_low": stats.beta}), "must be a frozen continuous distribution"),
-    (fitted(priors={"lapse_low": stats.bernoulli(0.1)}), "frozen continuous distribution"),
-    (fitted(priors={"lapse_low": None}), "frozen continuous distribution, got None"),
     (fitted(priors={"lapse_low": (1, 9)}), "must be one number, got 2"),
     (fitted(priors={"lapse_low": 0.6, "lapse_high": 0.6}), "must leave something"),
-    (fitted(priors={"lapse_correlation": "high"}), "must be a number, got 'high'"),
     (lambda: Priors(effects=["a"]), "effects must be a mapping"),  # type: ignore[arg-type]
     (lambda: fit_population(ANIMALS, spread_prior=0.3), "spread must be a frozen continuous"),
-    (lambda: fit_population(ANIMALS, spread_prior=stats.norm()), "spread must not reach below"),
     (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
     # Encodings, observers, whiskers.
     (fitted(encoding="log"), r"got 'log'; write IdentityEncoding\(\)"),
-    (fitted(encoding=IdentityEncoding), "got the class IdentityEncoding"),
     (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
-    (fitted(observer=WHISKER), "must be an Observer, got"),
-    (lambda: CueEncoding("C2"), "must be an Observer"),  # type: ignore[arg-type]
     (lambda: ww.design.taper("C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
     (lambda: ww.design.cues(WHISKER, "a"), "deflection_angle must be a number"),  # type: ignore[arg-type]
     (lambda: CueEncoding(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
     # Settings of a fit, and what is asked of it.
     (fitted(bias=0), "bias 0 is unknown"),
-    (fitted(method=1), "method 1 is unknown"),
     (fitted(seed="a"), "seed must be a whole number .* got 'a'"),
-    (fitted(seed=-1), "seed must be a whole number .* got -1"),
-    (lambda: FIT.threshold("a"), "standard must be a number, got 'a'"),
     (lambda: FIT.threshold(-1.0), "stimulus -1 lies outside what can be encoded"),
-    (lambda: FIT.psychometric([-1.0]), "stimulus -1 lies outside what can be encoded"),
-    (lambda: FIT.prior_predictive(seed="a"), "seed must be"),  # type: ignore[arg-type]
     # Comparisons and criticism.
-    (lambda: compare([FIT, FIT]), r"must be a mapping of names to fits"),  # type: ignore[arg-type]
     (lambda: compare({"a": FIT, "b": "x"}), f"the fit 'b' {A_WEBER_FIT}"),  # type: ignore[dict-item]
     (lambda: weber_law_test(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
-    (lambda: checks(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
-    (lambda: quantile_residuals(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
     (lambda: residuals_by(FIT), "no column was named"),
     # Simulation.
     (simulated(trials_per_level="a"), "whole number of 1 or more, got 'a'"),
-    (simulated(trials_per_level=[1, 2]), r"whole number of 1 or more, got \[1, 2\]"),
-    (simulated(trials_per_level=np.inf), "whole number of 1 or more, got inf"),
     (simulated(lapse_low=[0.1, 0.2]), "lapse_low must be one number, got 2"),
     (simulated(bias=[1, 2, 3]), r"bias has shape \(3,\) for standards of shape \(1,\)"),
     (simulated(drift=[1, 2], sessions=2), "drift must be one number"),
     (simulated(standards=[]), "standards is empty"),
-    (simulated(offsets=[]), r"one row of numbers, got shape \(0,\)"),
     (simulated(offsets=[[0.1], [0.2]]), r"one row of numbers, got shape \(2, 1\)"),
     (simulated(comparisons=np.ones((1, 1, 2))), r"comparisons has shape \(1, 1, 2\)"),
-    (simulated(encoding="log"), "encoding must be an Encoding"),
-    (simulated(seed="x"), "seed must be"),
     (lambda: simulate_population("a", seed=1), "subjects must be a whole number"),  # type: ignore[arg-type]
     (lambda: simulate_population(3, spread=[1, 2], seed=1), "spread must be one number"),  # type: ignore[arg-type]
     # Reading.
     (lambda: read_trials(None), r"a path or a DataFrame, got None"),  # type: ignore[arg-type]
-    (lambda: read_trials(TRIALS), "a path or a DataFrame, got"),  # type: ignore[arg-type]
-    (lambda: read_trials(TABLE["choice"]), "an object of type Series"),
     (lambda: read_trials(pd.concat([TABLE, TABLE[["choice"]]], axis=1)), "two columns 'choice'"),
     (read(columns="a"), "columns must be a mapping, got 'a'"),
     (read(columns={"choice": 5}), r"columns\['choice'\] must be the name of a column, got 5"),
@@ -141,7 +112,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (read(whisker="C2"), "whisker must be a Whisker"),
     # The psychometric function by itself.
     (lambda: PercentCorrect(1), "whole number of 2 or more, got 1"),
-    (lambda: PercentCorrect(2.5), "whole number of 2 or more, got 2.5"),  # type: ignore[arg-type]
     (lambda: response_probability("2AFC", SELF, 1, 1.1, weber_fraction=0.1), "task must be a Task"),  # type: ignore[arg-type]
     (lambda: response_probability(TASK, SELF, 1, 1.1, weber_fraction=-0.1), "above zero, got -0.1"),
     (lambda: response_probability(TASK, SELF, 1, -1.1, weber_fraction=0.1), "stimulus -1.1 lies"),
@@ -150,7 +120,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
         "lapses sum to more than 1",
     ),
     (lambda: threshold(TASK, SELF, 1, 0.75, weber_fraction=0), "above zero, got 0"),
-    (lambda: threshold(TASK, SELF, [1, 2], 0.75, weber_fraction=0.1), "must be one number, got 2"),  # type: ignore[arg-type]
     (
         lambda: response_probability(TASK, 3.0, 1.0, 1.1, weber_fraction=0.1),
         "encoding must be an Encoding, got 3.0; write IdentityEncoding",
@@ -167,16 +136,11 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
         lambda: threshold(TASK, SELF, 1.0, 0.75, weber_fraction=0.1, effects=3.0),
         "effects must be pairs of an effect and its value, got 3.0",
     ),
-    (lambda: Priors(lapse_low=10**400), "the prior of lapse_low must be a number"),
     (lambda: Trials(TRIALS.frame.assign(n=np.inf), TASK), "n must be a whole number"),
-    (lambda: Trials(TRIALS.frame.assign(n=np.nan), TASK), "n must be a whole number"),
-    (simulated(trials_per_level=1e308), "trials_per_level must be a whole number"),
     (simulated(subject=[]), r"subject must be a name, got \[\]; write 'r1'"),
     (lambda: simulate_population(2.5, seed=1), "subjects must be a whole number"),
     (lambda: joined(3.0), "parts must be a list of Trials, got 3.0"),
-    (lambda: joined(["x"]), "trials must be Trials, got 'x'"),
     (read(scale="log", log_unit=[]), "log_unit must be one number, got 0"),
-    (lambda: FIT.interval([]), "mass must be one number"),
     (
         lambda: simulate_responses(3.0, pd.DataFrame(), encoding=SELF, seed=1),
         "table must be a DataFrame with columns subject, standard",

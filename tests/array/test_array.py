@@ -57,12 +57,6 @@ def test_columns_count_from_one_at_the_greek_arc(species: str, median: float) ->
     assert np.median(other) < -0.2
 
 
-@pytest.mark.parametrize("species", ["rat", "mouse"])
-def test_base_points_have_their_mean_at_the_origin(species: str) -> None:
-    whiskers = WhiskerArray(species).whiskers.values()
-    assert np.abs(np.mean([w.base for w in whiskers], axis=0)).max() < 0.4e-3
-
-
 def test_sides_are_mirror_images() -> None:
     array = WhiskerArray("rat", curved=True).protract(0.3)
     for name in array.identities:

@@ -252,18 +252,6 @@ def test_tasks_with_a_criterion_by_hand_and_back(task: str, criterion: float) ->
     assert task.split("-")[0] in fit.threshold()["criterion"].iloc[0]
 
 
-def test_the_criterion_moves_the_threshold_of_yes_no_and_can_be_taken_out() -> None:
-    """Without a criterion 75 % yes is at (x − 1)/(k x) = z, so x = 1/(1 − k z)."""
-    trials = simulate_trials(task="yes/no", bias=0.5, weber_fraction=0.1, seed=32)
-    fit = fit_weber(trials, priors={"weber_fraction": 0.1, "lapse_low": 0, "lapse_high": 0})
-    z = stats.norm.ppf(0.75)
-    bare = fit.threshold(with_bias=False)["comparison"].iloc[0]
-    assert bare == pytest.approx(1 / (1 - 0.1 * z), rel=1e-9)
-    shifted = fit.threshold()["comparison"].iloc[0]
-    c = float(fit.posterior.quantile("criterion", 0.5))
-    assert shifted == pytest.approx((1 + 0.1 * c) / (1 - 0.1 * z), rel=2e-3)
-
-
 # -- misuse ---------------------------------------------------------------------------------------
 
 
@@ -284,13 +272,6 @@ def test_effects_that_cannot_show_are_refused() -> None:
     with pytest.raises(ValueError, match="noise grows with the stimulus"):
         fit_weber(counts, effects=[Floor()], noise="equal-variance")
     assert task_named("same-different").bias_name == "criterion"
-
-
-def test_sessions_in_words_go_in_the_order_of_the_table() -> None:
-    trials = simulate_trials(sessions=12, trials_per_level=12, seed=1)
-    words = trials.table().assign(session=[f"day {s}" for s in trials.frame["session"]])
-    read, plain = read_trials(words), IdentityEncoding()
-    assert np.array_equal(Drift().column(read, plain), Drift().column(trials, plain))
 
 
 def test_what_goes_by_the_trial_before_needs_trials_in_their_order() -> None:

@@ -271,14 +271,6 @@ def test_thresholds_out_of_reach_in_many_draws_are_infinite_not_nan() -> None:
     assert 0 < row["lower"] < row["comparison"]
 
 
-def test_residuals_are_standard_normal_where_the_model_is_right(fit: WeberFit) -> None:
-    table = fit.residuals()
-    assert len(table) == 18
-    assert table["n"].sum() == fit.trials.n_trials
-    assert (table["z"] ** 2).mean() == pytest.approx(1.0, abs=0.7)
-    assert fit.misfit > 0.01
-
-
 def test_misfit_is_found_and_the_remedy_named() -> None:
     trials = simulate_trials(standards=[1.0, 2.0], bias=[1.2, -1.2], trials_per_level=50, seed=16)
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))

@@ -24,7 +24,6 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.integrate.batch import of_fraction
-from weberwhisk.behaviour.trials import joined
 
 Array = NDArray[np.float64]
 
@@ -238,14 +237,6 @@ def test_pooling_draws_animals_together_and_errs_less() -> None:
         assert low < value < high
 
 
-def test_the_order_of_the_animals_does_not_matter() -> None:
-    trials, _ = animals(3)
-    parts = [trials.select(subject=s) for s in ("s3", "s1", "s2")]
-    one, other = (fit_population(t, priors=KNOWN) for t in (trials, joined(parts)))
-    assert one.weber_fraction == pytest.approx(other.weber_fraction, rel=1e-9)
-    assert one.subjects.equals(other.subjects)
-
-
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_unit_does_not_matter(unit: float) -> None:
     trials, _ = animals(3)
@@ -267,21 +258,6 @@ def test_five_animals_of_a_percent_correct_task() -> None:
     order = [f"s{i + 1}" for i in range(5)]
     rows = fit.subjects.set_index("subject").loc[order]
     assert ((rows["lower"] < truth) & (truth < rows["upper"])).sum() >= 4
-
-
-@pytest.mark.slow
-def test_fifty_animals_of_two_thousand_trials() -> None:
-    trials, truth = simulate_population(
-        50, spread=0.3, standards=[1.0, 2.0, 4.0], trials_per_level=74, seed=3
-    )
-    fit = fit_population(trials)
-    assert fit.status.ok
-    rows = fit.subjects.set_index("subject").loc[truth["subject"]]
-    true = truth["weber_fraction"].to_numpy()
-    assert ((rows["lower"] < true) & (true < rows["upper"])).sum() >= 43
-    for name, value in (("weber_fraction", 0.1), ("spread", 0.3)):
-        low, high = fit.interval(0.99, name)
-        assert low < value < high
 
 
 # -- trouble --------------------------------------------------------------------------------------

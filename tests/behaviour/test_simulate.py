@@ -50,25 +50,10 @@ def test_the_design_is_balanced() -> None:
     assert (trials.frame.groupby("session")["standard"].nunique() == 2).all()
 
 
-def test_counts_follow_the_parameters() -> None:
-    trials = simulate_trials(
-        offsets=[-0.9, 0.0, 9.0], weber_fraction=0.01, lapse_low=0.1, lapse_high=0.3, bias=0.5,
-        trials_per_level=20_000, seed=2,
-    )  # fmt: skip
-    share = trials.cells().count / trials.cells().n
-    np.testing.assert_allclose(share, [0.1, 0.1 + 0.6 * 0.69146, 0.7], atol=0.012)
-
-
 def test_missing_answers() -> None:
     trials = simulate_trials(missing=0.2, trials_per_level=500, seed=3)
     assert trials.n_missing == pytest.approx(900, abs=110)
     assert trials.frame["count"].isna().sum() == trials.n_missing
-
-
-def test_a_log_encoding_makes_a_log_table() -> None:
-    trials = simulate_trials(encoding=LogEncoding(2.0), standards=[-1.0, 1.0], seed=4)
-    assert (trials.scale, trials.log_unit) == ("log", 2.0)
-    assert trials.frame["stimulus_2"].min() == pytest.approx(-1.3)
 
 
 @pytest.mark.parametrize(
@@ -117,13 +102,6 @@ def test_a_drift_is_that_of_the_sessions() -> None:
         [[0.42629, 0.56677], [0.55107, 0.79852], [0.60130, 0.95280]],
         atol=4 * 0.5 / np.sqrt(20_000),
     )
-
-
-def test_a_weber_fraction_for_each_session() -> None:
-    one = simulate_trials(weber_fraction=[0.1, 0.4], sessions=2, trials_per_level=500, seed=6)
-    same = simulate_trials(weber_fraction=0.1, sessions=2, trials_per_level=500, seed=6)
-    assert one.select(session=1).frame.equals(same.select(session=1).frame)
-    assert not one.select(session=2).frame.equals(same.select(session=2).frame)
 
 
 def test_the_animals_of_a_population_are_what_the_truth_says() -> None:

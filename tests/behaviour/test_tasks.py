@@ -47,16 +47,6 @@ def test_percent_correct_is_the_greatest_of_m(m: int) -> None:
     assert p == pytest.approx(exact, abs=1e-11)
 
 
-def test_percent_correct_of_the_least() -> None:
-    task = task_named("3AFC percent correct")
-    rng = np.random.default_rng(3)
-    n, k = 300_000, 0.25
-    target = 0.8 * (1 + k * rng.standard_normal(n))
-    others = 1 + k * rng.standard_normal((2, n))
-    p = response_probability(task, MAGNITUDE, 1.0, 0.8, weber_fraction=k)[0]
-    assert abs((target < others.min(axis=0)).mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
-
-
 def test_guess_rates() -> None:
     far_apart = dict(weber_fraction=0.01, lapse_low=0.03, lapse_high=0.07)
     assert probability(1.0, [1e-3, 1e3], **far_apart) == pytest.approx([0.03, 0.93])
@@ -138,16 +128,6 @@ def test_cue_encoding_knows_which_way_its_signal_goes() -> None:
     cylinder = response_probability(TWO, encoding, 0.02, [0.016, 0.025], weber_fraction=0.2)
     plain = probability(1.0, [0.8, 1.25], weber_fraction=0.2)
     np.testing.assert_allclose(cylinder, plain, rtol=1e-12)
-
-
-def test_two_signals_are_carried_to_distance() -> None:
-    """At small angle the map's JND is (A−r)(3A−2r)/(2A−r)·√5/2 for k_M = k_F."""
-    whisker = ww.Whisker(0.05, 1e-4, 5e-6)
-    encoding = CueEncoding(ww.Observer(whisker, ww.cues.ForceMap()), deflection_angle=1e-5)
-    a, r = whisker.apex_distance, np.array([0.02, 0.025])
-    jnd = (a - r) * (3 * a - 2 * r) / (2 * a - r) * np.sqrt(5) / 2
-    p = response_probability(TWO, encoding, *r, weber_fraction=0.2)
-    assert p == pytest.approx(stats.norm.cdf(0.005 / (0.2 * np.hypot(*jnd))), rel=1e-6)
 
 
 def test_a_cylinders_map_cannot_be_judged_by() -> None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from cue_checks import coverage, jacobian_by_differences
 from short_forms import slow_but
 
 import weberwhisk as ww
@@ -63,16 +62,6 @@ def test_the_angles_are_those_of_the_triangle(cue):
     there = side + contact[:, 0] * np.exp(1j * contact[:, 1])
     expected = np.stack([np.angle(there), np.angle(there - side)], axis=-1)
     assert np.allclose(cue.signals(W, contact)[0], expected, rtol=1e-12)
-
-
-@EVERY
-def test_the_jacobian_is_the_slope_of_the_angles(cue):
-    contact = drawn(cue, 100, 3) * 0.98
-    expected = jacobian_by_differences(cue, W, contact, 1e-6)
-    held = np.isfinite(expected).all(axis=(1, 2))
-    assert held.mean() > 0.8
-    scale = np.abs(expected[held]).max(axis=0)
-    assert np.allclose(cue.jacobian(W, contact)[held], expected[held], rtol=1e-6, atol=1e-8 * scale)
 
 
 @EVERY
@@ -150,23 +139,6 @@ def test_an_unknown_side_is_integrated_out():
     assert p.sd == pytest.approx(expected, rel=0.03)
     # A flat prior of r: the side's posterior is tilted by the factor side that r carries.
     assert p.estimates["side"].mean == pytest.approx(10e-3 * (1 + 0.1**2), rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("cue", "draws", "band"),
-    [
-        (CUES[0], 100, 0.08),
-        pytest.param(CUES[0], 2000, 0.02, marks=pytest.mark.slow),
-        pytest.param(CUES[1], 300, 0.05, marks=pytest.mark.slow),
-        pytest.param(CUES[2], 2000, 0.02, marks=pytest.mark.slow),
-        pytest.param(CUES[3], 300, 0.05, marks=pytest.mark.slow),
-    ],
-    ids=repr,
-)
-def test_intervals_hold_the_truth_as_often_as_they_say(cue, draws, band):
-    """95 ± 2 % of 2000; of 300 and 100, whose errors are 1.3 and 2.2 %, four of these."""
-    share = coverage(ww.Observer(W, cue), drawn(cue, draws, 9), seed=10)
-    assert share == pytest.approx(0.95, abs=band)
 
 
 def test_it_says_where_it_does_not_work():

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from cue_checks import (
     agrees_with_brute_force,
-    covers,
-    is_calibrated,
     keeps_the_protocol,
     prior_draws,
     small_noise_limit,
@@ -35,22 +33,6 @@ def test_the_protocol_is_kept(cue):
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue)
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))
-
-
-@pytest.mark.parametrize("cue", [Compliance(), Compliance(tap_angle=0.2)], ids=repr)
-def test_intervals_cover_when_the_velocity_is_known(cue):
-    covers(ww.Observer(W, cue), n=600)
-
-
-@pytest.mark.parametrize("cue", CUES[:1], ids=repr)
-def test_posteriors_are_calibrated(cue):
-    is_calibrated(ww.Observer(W, cue), n=500)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cue", [*CUES, Compliance(), Compliance(tap_angle=0.2)], ids=repr)
-def test_intervals_cover_over_many_draws(cue):
-    covers(ww.Observer(W, cue))
 
 
 def test_noise_of_the_velocity_adds_to_that_of_the_moment():

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from cue_checks import (
     agrees_with_brute_force,
-    covers,
-    is_calibrated,
     keeps_the_protocol,
     prior_draws,
     small_noise_limit,
@@ -91,26 +89,6 @@ def test_the_moment_is_inverted_at_a_known_angle():
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue, replace(default_noise(W, cue), correlation=0.3))
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))
-
-
-def test_intervals_cover_at_a_known_angle():
-    covers(ww.Observer(W, ForceMap(SIGNALS, deflection_angle=0.2)), n=600)
-
-
-@pytest.mark.parametrize(
-    "cue",
-    [ForceMap(), *(pytest.param(c, marks=pytest.mark.slow) for c in (PAIRS[1], ALL))],
-    ids=repr,
-)
-def test_posteriors_are_calibrated(cue):
-    """One cue holds readings to their likelihood; the sums of all are beside brute force above."""
-    is_calibrated(ww.Observer(W, cue), n=300)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cue", [ForceMap(), PAIRS[1], ALL, *KNOWN[:1]], ids=repr)
-def test_intervals_cover_over_many_draws(cue):
-    covers(ww.Observer(W, cue))
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from cue_checks import (
     agrees_with_brute_force,
-    covers,
-    is_calibrated,
     keeps_the_protocol,
     prior_draws,
     small_noise_limit,
@@ -141,20 +139,6 @@ def test_events_and_forces_are_fused():
     assert ww.posterior(observer, readings[1]).sd < ww.posterior(tap, readings[1, :1]).sd
     assert weber_propagation(observer, 25e-3) == weber_propagation(tap, 25e-3)
     assert fisher_jnd(observer, 44e-3) < fisher_jnd(tap, 44e-3)
-
-
-def test_intervals_cover_in_one_dimension():
-    covers(ww.Observer(W, CUES[2]), n=600)
-
-
-def test_posteriors_are_calibrated():
-    is_calibrated(ww.Observer(W, MAP_AND_TAP), n=300)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cue", CUES[:3], ids=repr)
-def test_intervals_cover_over_many_draws(cue):
-    covers(ww.Observer(W, cue))
 
 
 def test_posteriors_have_the_propagated_width_at_small_noise():

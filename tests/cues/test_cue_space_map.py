@@ -350,7 +350,7 @@ def plain_sum(observer, reading, found, counts):
 @pytest.mark.parametrize(
     ("signals", "roll", "spread", "k", "counts"),
     [
-        (SPACE[:5], 0.0, 0.3, 0.1, (25, 25, 27, 21)),
+        pytest.param(SPACE[:5], 0.0, 0.3, 0.1, (25, 25, 27, 21), marks=pytest.mark.slow),
         pytest.param(SPACE, 0.5, 0.3, 0.03, (33, 33, 41, 33), marks=pytest.mark.slow),
         pytest.param(SPACE[:5], -1.0, 2.0, 0.1, (41, 41, 96, 29), marks=pytest.mark.slow),
         pytest.param(SPACE[:5], 0.0, 0.3, 0.3, (45, 45, 41, 29), marks=pytest.mark.slow),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from analysis_scripts import load
-from cue_checks import agrees_with_brute_force, covers, keeps_the_protocol, small_noise_limit
+from cue_checks import agrees_with_brute_force, keeps_the_protocol, small_noise_limit
 from scipy import stats
 from scipy.optimize import brentq
 from short_forms import short_or_full
@@ -63,18 +63,6 @@ def test_amplitudes_are_those_of_the_ringing():
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue)
     agrees_with_brute_force(observer, observer.read(R, 4))
-
-
-@pytest.mark.parametrize("cue", [Vibration(), Vibration(1, impulse=1e-9)], ids=repr)
-def test_intervals_cover(cue):
-    """Also where the posterior has several peaks."""
-    covers(ww.Observer(W, cue), n=600)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cue", CUES, ids=repr)
-def test_intervals_cover_over_many_draws(cue):
-    covers(ww.Observer(W, cue))
 
 
 def test_posteriors_have_the_propagated_width_at_small_noise():

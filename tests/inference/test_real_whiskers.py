@@ -253,26 +253,6 @@ def test_intervals_hold_the_distance_where_curvature_or_friction_is_not_known(cu
     )
 
 
-@pytest.mark.parametrize("curvature", slow_but([-20.0, -38.0], quick=(1,)))
-def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature):
-    """Straightened, it goes further out than it is at rest: contacts that no observer has."""
-    w = whisker(20, curvature)
-    forward = ww.mechanics.forward.ForwardModel(w)
-    force = np.linspace(0, 3e-3, 200)[1:] * w.force_scale
-    bent = profile.bend(w, w.length * (1 - 1e-9), force)
-    far = np.argmax(np.where(bent.held, bent.radial_distance, 0.0))
-    place = bent.radial_distance[far], bent.deflection_angle[far]
-    assert bent.outcome[far] == ww.Outcome.HELD
-    assert place[0] > 1.005 * forward.reach
-    assert profile.press(w, *place).outcome == ww.Outcome.OUT_OF_REACH
-    assert forward.signals(np.array(place[:1]), np.array([0.1]))[1] == ww.Outcome.OUT_OF_REACH
-    noise = GeneralisedWeber(0.03, floor=[1e-10, 1e-9])
-    found = posterior(Observer(w, ForceMap(), noise), [bent.moment[far], bent.axial_force[far]])
-    assert found.outcome == ww.Outcome.OUT_OF_REACH
-    assert found.status == ww.Status.OUTSIDE_DOMAIN
-    assert "a tip pushed straight" in found.outside_domain
-
-
 def test_compliance_of_a_curved_whisker():
     """The lightest tap gives the slope of the moment; a heavier one what the planar beam says."""
     w = whisker(20, 12.0)
@@ -408,25 +388,6 @@ def test_a_named_whisker_carries_its_curvature_where_asked():
     assert rest_shape("C2", "mouse") != rest_shape("C2")
     with pytest.raises(ValueError, match="species"):
         rest_shape("C2", "cat")
-
-
-def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
-    """By how much its posterior is off bears the note out."""
-    plain = Whisker.from_identity("C2")
-    ignores = Observer(plain, ForceMap(), Weber(0.05))
-    knows = Observer(
-        ww.Profile.of(plain).curved(ww.Spiral(*rest_shape("C2"))), ForceMap(), Weber(0.05)
-    )
-    assert "shape at rest moves r" in ignores.note
-    assert knows.note == ""
-    contact = [0.6 * plain.length, 0.1]
-    found = posterior(ignores, knows.signals(contact)[0])
-    assert abs(found.mean - contact[0]) > found.sd
-    assert ignores.note in repr(found)
-    assert found.summary()["note"].eq(ignores.note).all()
-    assert Observer(plain, Compliance(), Weber(0.5)).note == ""  # JNDs are larger than that
-    hinged = Whisker.from_identity("C2", hinge_stiffness=1e-5)
-    assert "C2 is taken as straight" in Observer(hinged, ForceMap()).note
 
 
 def test_whatever_takes_a_named_whisker_as_straight_says_so():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.cues import (
@@ -48,7 +49,7 @@ def test_the_stiffness_is_integrated_out(tap, method, accuracy):
     assert p.sd == pytest.approx(sd, rel=accuracy)
 
 
-@pytest.mark.parametrize("method", ["quadrature", "emcee"])
+@pytest.mark.parametrize("method", slow_but(["quadrature", "emcee"], (0,)))
 def test_a_third_unknown_that_is_known_changes_nothing(method):
     plain = ww.Observer(W, ForceMap(), Weber(0.05))
     other = ww.Observer(W, UnknownStiffness(ForceMap(), 1e-4), Weber(0.05))
@@ -60,7 +61,9 @@ def test_a_third_unknown_that_is_known_changes_nothing(method):
     assert q.sd == pytest.approx(p.sd, rel=0.15 if method == "emcee" else 2e-3)
 
 
-@pytest.mark.parametrize("cue", [UnknownStiffness(ForceMap()), SpaceMap()], ids=repr)
+@pytest.mark.parametrize(
+    "cue", slow_but([UnknownStiffness(ForceMap()), SpaceMap()], (0,)), ids=repr
+)
 def test_emcee_knows_how_three_unknowns_go_together(arviz, cue):
     """Means, sds, correlations and the third unknown's quantiles are those of quadrature."""
     observer = ww.Observer(W, cue, None if isinstance(cue, SpaceMap) else Weber(0.1))
@@ -218,6 +221,7 @@ def turned_sums(observer, reading, start, nodes=61, half=7.0):
     return mean, sd, np.log(weight.sum() * cell) + log.max(), known
 
 
+@pytest.mark.slow
 def test_four_unknowns_are_three_and_one():
     """The directions in space tell of the azimuth alone, which stands by itself.
 

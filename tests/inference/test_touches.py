@@ -104,13 +104,13 @@ RUBBING = Observer(W, cues.Friction(cues.ForceMap()))
 def test_the_friction_of_each_touch_is_summed():
     """Beside a plain sum over friction and deflection."""
     readings = RUBBING.read([[25e-3, 0.2, 0.1], [25e-3, 0.3, -0.2]], seed=1)
-    r = np.linspace(4e-3, 44e-3, 81)
-    friction = RUBBING.prior["friction_angle"].ppf((np.arange(60) + 0.5) / 60)[:, None]
-    share = (np.arange(200) + 0.5) / 200
+    r = np.linspace(4e-3, 44e-3, 61)
+    friction = RUBBING.prior["friction_angle"].ppf((np.arange(30) + 0.5) / 30)[:, None]
+    share = (np.arange(100) + 0.5) / 100
     log = np.zeros((2, len(r)))
     prior = np.zeros(len(r))
     for row, distance in enumerate(r):
-        contact = np.ones((60, 200, 3))
+        contact = np.ones((30, 100, 3))
         contact[..., 0], contact[..., 2] = distance, friction
         limit = RUBBING.space.angle_range(contact[:, 0, 0], contact[:, 0])[1]
         contact[..., 1] = limit[:, None] * (1 - share**2)
@@ -146,10 +146,13 @@ HINGED = Observer(
 
 @pytest.mark.parametrize(
     ("observer", "known", "contact"),
-    [
-        (SOFT, lambda e: replace(W, youngs_modulus=e * W.youngs_modulus, curvature=0.0), 1.2),
-        (HINGED, lambda h: replace(W, hinge_stiffness=h, curvature=0.0), 2.4e-5),
-    ],
+    slow_but(
+        [
+            (SOFT, lambda e: replace(W, youngs_modulus=e * W.youngs_modulus, curvature=0.0), 1.2),
+            (HINGED, lambda h: replace(W, hinge_stiffness=h, curvature=0.0), 2.4e-5),
+        ],
+        (0,),
+    ),
     ids=["stiffness", "hinge"],
 )
 def test_what_touches_share_is_summed(observer, known, contact):
@@ -187,6 +190,7 @@ def test_what_touches_share_is_summed(observer, known, contact):
     assert found.shared[observer.unknowns[-1]] == pytest.approx([middle, spread], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_what_touches_share_does_not_average_out():
     """Of alike touches; touches that differ tell the stiffness from the distance."""
     table = touches_jnd(SOFT, 28e-3, [0.2], [1, 40], n_readings=4, seed=3)

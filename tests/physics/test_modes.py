@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import mpmath as mp
 import numpy as np
 import pytest
 from scipy import special
-from scipy.integrate import solve_ivp
-from scipy.linalg import eigh, expm, lu_factor, lu_solve
+from scipy.linalg import expm, lu_factor, lu_solve
 from scipy.optimize import brentq
 from short_forms import slow_but
 
@@ -97,31 +94,6 @@ def test_truncated_cone_frequencies_are_the_zeros_of_their_bessel_determinant(ra
         assert [round(v, d) for v, d in digits] == [7.8941, 19.448, 36.510]
 
 
-def shot(profile, guess):
-    """Frequency near a guess for which a shot from the clamped base meets the free tip."""
-    w = profile.whisker
-    knots = np.unique(profile.arc) / w.length
-    line = w.density * np.pi * w.base_radius**2 * w.length**4 / w.stiffness
-
-    def miss(omega):
-        ends = []
-        for start in ([0, 0, 1.0, 0], [0, 0, 0, 1.0]):
-            state = np.array(start)
-
-            def slope(x, v):
-                s = x * w.length
-                ei = profile.stiffness(s) / w.stiffness
-                m = profile.line_density(s) / (w.density * np.pi * w.base_radius**2)
-                return [v[1], v[2] / ei, v[3], omega**2 * line * m * v[0]]
-
-            for a, b in pairwise(knots):
-                state = solve_ivp(slope, (a, b), state, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-            ends.append(state)
-        return ends[0][2] * ends[1][3] - ends[0][3] * ends[1][2]
-
-    return brentq(miss, guess * 0.98, guess * 1.02, rtol=1e-11)
-
-
 def finite_elements(profile, n):
     """Stiffness and mass of n Hermite beam elements, clamped rows included, and their nodes."""
     h = profile.whisker.length / n
@@ -136,22 +108,6 @@ def finite_elements(profile, n):
         k[at, at] += (bent * profile.stiffness(s) * weight) @ bent.T
         m[at, at] += (moved * profile.line_density(s) * weight) @ moved.T
     return k, m, np.arange(n + 1) * h
-
-
-def test_finite_elements_agree():
-    """Hermite beam elements, which converge with the fourth power of their length."""
-    omega = []
-    for n in (100, 200):
-        k, m, _ = finite_elements(Profile.of(TAPER), n)
-        last = (2 * n - 5, 2 * n - 1)  # of the inverse, which keeps the low modes' digits
-        values = eigh(m[2:, 2:], k[2:, 2:], eigvals_only=True, subset_by_index=last)
-        omega.append(1 / np.sqrt(values[::-1]))
-    got = modes(TAPER, 5).angular_frequency
-    np.testing.assert_allclose(omega[1], got, rtol=1e-6)
-    # But for rounding: stiffnesses, with ones on their diagonal, have a condition of 2e8, and the
-    # lowest mode was 1.5e-10 off on one processor whatever the elements.
-    coarse, fine = np.abs(np.array(omega) / got - 1)
-    assert np.all(fine < np.maximum(coarse / 10, 1e-9))
 
 
 def ringing(m, zeta, place, time, impulse):
