@@ -21,6 +21,7 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
+from weberwhisk.inference.result import distance_prior
 from weberwhisk.receptors import Afferents, GeneralisedWeber, Joint, SpikeCount, Weber
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 from weberwhisk.sensitivity import jnd as fusing
@@ -201,7 +202,7 @@ def test_the_prior_of_distance_is_the_mean_of_what_is_held():
     friction = observer.prior["friction_angle"].ppf(share)
     contact = np.stack(np.broadcast_arrays(r[:, None], 1.0, friction), axis=-1)
     held = observer.space.angle_range(contact[..., 0], contact)[1].mean(axis=1)
-    ratio = observer.distance_prior(r) / held
+    ratio = distance_prior(observer, r) / held
     assert ratio == pytest.approx(ratio[0], rel=2e-3)
 
 

@@ -9,6 +9,7 @@ from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.inference import default_noise
+from weberwhisk.inference.result import distance_prior
 from weberwhisk.inference.touches import touches
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.receptors import Weber
@@ -85,7 +86,7 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
     theta = observer.angle_range(r)[1][:, None] * share
     place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
     signals, _ = observer.signals(place)
-    log = np.log(observer.distance_prior(r))
+    log = np.log(distance_prior(observer, r))
     for reading in readings:
         likelihood = np.exp(observer.noise.log_likelihood(reading, signals)).mean(axis=1)
         log += np.log(np.maximum(likelihood, 1e-300))

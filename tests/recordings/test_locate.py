@@ -12,6 +12,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.inference.one_distance import ReadingGroup, one_distance
+from weberwhisk.inference.result import distance_prior
 from weberwhisk.recordings.columns import find_columns
 from weberwhisk.recordings.locate import SPANS
 
@@ -152,7 +153,7 @@ def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool,
     contact = np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1)
     signals = observer.signals(contact)[0]
     z = np.linspace(-4, 4, 61) if soft else np.zeros(1)
-    total = np.log(observer.distance_prior(r))[:, None, None] - 0.5 * z[:, None] ** 2
+    total = np.log(distance_prior(observer, r))[:, None, None] - 0.5 * z[:, None] ** 2
     spans = np.exp(-((share[:, None] / SPANS) ** 4))
     spans /= spans.sum(axis=0)
     for y in readings:

@@ -191,6 +191,20 @@ class ContactCoordinates:
             out[..., i] = np.where(below < above, lower, upper)
         return np.clip(out, -9.0, 9.0)
 
+    def given_scores(self, contact: Array) -> Array:
+        """`prior_scores` (N, P) of the bounded unknowns whose priors were given, without an end.
+
+        Beyond ±9 by how far ln of the density is below its highest.
+        """
+        names = self.cue.unknowns[: self.bounded]
+        given = [i for i, name in enumerate(names) if name in self.prior]
+        if not given:
+            return np.zeros((len(contact), 0))
+        scores = self.prior_scores(contact[..., : self.bounded])[..., given]
+        below = [self.peaks[names[i]] - self.prior[names[i]].logpdf(contact[..., i]) for i in given]
+        depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
+        return np.copysign(np.maximum(np.abs(scores), depth), scores)
+
     @cached_property
     def peaks(self) -> Mapping[str, float]:
         """The highest ln of the density of priors of the bounded unknowns, by name."""
@@ -216,10 +230,12 @@ class ContactCoordinates:
             models = [self.cue.forward(self.whisker, contact)]
         else:
             models = self.cue.forward(self.whisker, np.ones((*r.shape, count))).extremes(5)
-        whiskers = models if self.cue.takes_curved else [self.whisker]
+        whiskers = models if self.cue.takes_curved else [self.whisker] * len(models)
         # Some curvatures reach no further than others, which has no say in how far those do.
-        limit = np.fmax.reduce([f.limit(r) for f in models])
-        largest = np.fmax.reduce([self.cue.largest_angle(w, r) for w in whiskers])
+        limit = largest = np.asarray(-np.inf)
+        for model, whisker in zip(models, whiskers, strict=True):
+            limit = np.fmax(limit, model.limit(r))
+            largest = np.fmax(largest, self.cue.largest_angle(whisker, r))
         limit = np.minimum(limit, largest)
         low = 0.0
         if "deflection_angle" in self.prior:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 
@@ -115,3 +116,40 @@ def _floored(noise: ReceptorNoise, floors: Array) -> ReceptorNoise:
         return replace(noise, floor=np.where(floors > 0, floors, noise.floor))
     k, rho = getattr(noise, "weber_fraction", 0.1), getattr(noise, "correlation", 0.0)
     return GeneralisedWeber(k, floor=floors, correlation=rho)
+
+
+def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool) -> None:
+    """Refuse noise that is not of the cue's signals, or that lacks a floor where it needs one."""
+    usual = cue.default_noise()
+    if noise.is_categorical != usual.is_categorical:
+        raise ValueError(
+            f"The signals of {cue!r} are not what this noise reports, got "
+            f"{noise!r}; leave noise out for {usual!r}."
+        )
+    size = len(cue.signal_names)
+    count = noise.reading_size(size)
+    try:
+        spread = np.shape(noise.sd(np.ones(size)))
+    except ValueError:  # as many values as some other cue has signals
+        spread = ()
+    if spread != (count,):
+        raise ValueError(
+            f"The noise is not of {size} signals ({', '.join(cue.signal_names)}), got "
+            f"{noise!r}; give one value, or one for each signal."
+        )
+    twists = [name.split("_")[0] == "torsion" for name in cue.signal_names]
+    exact = any(twists) and not np.all(noise.sd(np.where(twists, 0.0, 1.0)))
+    if exact and is_flat:
+        raise ValueError(
+            "A straight whisker has no torsion, which this noise would tell exactly, got "
+            f"{noise!r}; leave torsion out, or give its noise a floor."
+        )
+    floored = with_floors(noise, whisker, cue)
+    if floored is not noise:
+        added = floored.floors(size) > noise.floors(size)
+        names = " and ".join(np.array(cue.signal_names)[added])
+        line = re.sub(r"\b(?=[A-Z]\w*\()", "receptors.", repr(floored)).replace("inf", "None")
+        raise ValueError(
+            f"The sign of {names} changes within this whisker's reach, where this noise would "
+            f"be zero, got {noise!r}; write {line}."
+        )

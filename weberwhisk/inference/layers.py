@@ -15,14 +15,13 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 from .nodes import HALVINGS, TURN, Axis, Conditional
 from .observer import Observer
 from .tree import DROP, tree_of
-from .weighted import OVER, Proposals, Spans, Sums, extrapolated, interpolate
+from .weighted import OVER, Proposals, Spans, Sums, extrapolated, interpolate, mixed
 
 #: By how much sums over every other node are worse. Along a friction they converge as sums over a
 #: density with kinks do: a third of 6.7e-3 where 2.2e-3 was missed.
@@ -412,7 +411,7 @@ class LayeredSums:
                 key = self._wrapped(tuple(int(k[j]) for k, j in zip(keys, i, strict=True)))
                 quantile[i] = self._conditional(key, unknown)[row]
             held &= np.isfinite(quantile[..., 0])
-            yield _mixed(at, log, held, quantile[..., ::stride], SCORES[::stride], PARTS // stride)
+            yield mixed(at, log, held, quantile[..., ::stride], SCORES[::stride], PARTS // stride)
 
     def _conditional(self, key: tuple[int, ...], unknown: int) -> Array:
         """Quantiles (B, Q) at a node, of the readings that have mass there."""
@@ -470,34 +469,3 @@ def _shifted(values: Array, by: int, *, axis: int, circle: bool) -> Array:
         beyond[axis] = slice(-by, None) if by > 0 else slice(0, -by)
         moved[tuple(beyond)] = -np.inf
     return moved
-
-
-def _mixed(
-    rows: Index, log: Array, held: Flags, quantile: Array, scores: Array, parts: int
-) -> Spans:
-    """Spans of a mixture over nodes of conditional distributions, given their quantiles.
-
-    Between nodes ln of the evidence is interpolated by splines, and each quantile by cubics without
-    overshoot, as conditional distributions may have two modes; where nothing is known of a node,
-    its quantiles are those of the nearest.
-    """
-    if not held.all():
-        place = np.argwhere(held)
-        for i in np.argwhere(~held):
-            nearest = place[np.abs(place - i).sum(axis=1).argmin()]
-            quantile[tuple(i)] = quantile[tuple(nearest)]
-    log = np.maximum(log - log[held].max(), -45.0)
-    for d in range(log.ndim):
-        n = log.shape[d]
-        fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
-        log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
-        quantile = PchipInterpolator(np.arange(n), quantile, axis=d)(fine)
-    log, quantile = log.ravel(), quantile.reshape(-1, len(scores))
-    heavy = log > log.max() - 18.0
-    # Between scores mass is all but that of a Gaussian, which is not spread evenly.
-    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
-    quantile = PchipInterpolator(scores, quantile[heavy], axis=1)(fine)
-    quantile, scores = np.maximum.accumulate(quantile, axis=1), fine
-    mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
-    low, high = quantile[:, :-1], quantile[:, 1:]
-    return Spans(rows, low.reshape(1, -1), high.reshape(1, -1), mass.reshape(1, -1))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._util.values import Array, Index
+from ..mechanics.contact import Outcome
 from .coordinates import from_normal, is_all_around
 from .observer import Evaluated, Observer, near_azimuth
 
@@ -33,7 +34,7 @@ class Conditional:
         self.is_smooth = observer.is_smooth
         self.space = observer.space
         if observer.bounded == 1 and observer.space.reach_varies:
-            self.space = observer.space.reaching(observer.farthest_given(further))
+            self.space = observer.space.reaching(_farthest(observer, further))
         self._hash = hash((observer, further))
 
     def __eq__(self, other: object) -> bool:
@@ -132,3 +133,16 @@ class Axis:
             covariance = None if covariance is None else covariance / value**2
             return readings / value, covariance, -size * np.log(value)
         return readings, covariance, 0.0
+
+
+def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
+    """The largest distance at which contact is held where other unknowns are given, m."""
+    low, high = observer.reach
+    for _ in range(5):  # to a millionth of a millionth of the reach
+        r = np.linspace(low, high, 258)[1:-1]
+        contact = np.column_stack([r, np.tile(further, (len(r), 1))])
+        held = np.flatnonzero(observer.signals(contact)[1] == Outcome.HELD)
+        if not held.size or held[-1] == len(r) - 1:
+            return float(high)
+        low, high = r[held[-1]], r[held[-1] + 1]
+    return float(low)

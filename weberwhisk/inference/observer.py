@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, partial
@@ -22,7 +21,7 @@ from ..mechanics.shape import Profile
 from ..receptors import ReceptorNoise, Seed
 from ..whisker import Whisker
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
-from .floors import default_noise, with_floors
+from .floors import check_noise, default_noise
 
 #: Fractions of the ranges of distance and angle between which trees look for contacts.
 ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
@@ -149,7 +148,7 @@ class Observer:
         set_(self, "noise", self.noise if usual is None else usual)
         set_(self, "prior", MappingProxyType(prior))
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
-        self._check_noise()
+        check_noise(self.noise, self.whisker, self.cue, self.forward.is_flat)
         if self.model is None:
             set_(self, "model", model_choice.chosen(self))
 
@@ -159,41 +158,6 @@ class Observer:
         if isinstance(self.model, model_choice.Chosen):
             return "elastica" if self.model == "elastica" and not self.forward.is_plain else None
         return self.model
-
-    def _check_noise(self) -> None:
-        usual = self.cue.default_noise()
-        if self.noise.is_categorical != usual.is_categorical:
-            raise ValueError(
-                f"The signals of {self.cue!r} are not what this noise reports, got "
-                f"{self.noise!r}; leave noise out for {usual!r}."
-            )
-        size = len(self.cue.signal_names)
-        count = self.noise.reading_size(size)
-        try:
-            spread = np.shape(self.noise.sd(np.ones(size)))
-        except ValueError:  # as many values as some other cue has signals
-            spread = ()
-        if spread != (count,):
-            raise ValueError(
-                f"The noise is not of {size} signals ({', '.join(self.cue.signal_names)}), got "
-                f"{self.noise!r}; give one value, or one for each signal."
-            )
-        twists = [name.split("_")[0] == "torsion" for name in self.cue.signal_names]
-        exact = any(twists) and not np.all(self.noise.sd(np.where(twists, 0.0, 1.0)))
-        if exact and self.forward.is_flat:
-            raise ValueError(
-                "A straight whisker has no torsion, which this noise would tell exactly, got "
-                f"{self.noise!r}; leave torsion out, or give its noise a floor."
-            )
-        floored = with_floors(self.noise, self.whisker, self.cue)
-        if floored is not self.noise:
-            added = floored.floors(size) > self.noise.floors(size)
-            names = " and ".join(np.array(self.cue.signal_names)[added])
-            line = re.sub(r"\b(?=[A-Z]\w*\()", "receptors.", repr(floored)).replace("inf", "None")
-            raise ValueError(
-                f"The sign of {names} changes within this whisker's reach, where this noise would "
-                f"be zero, got {self.noise!r}; write {line}."
-            )
 
     def __repr__(self) -> str:
         return f"Observer({self.whisker}, {self.cue!r}, {self.noise!r})"
@@ -314,20 +278,8 @@ class Observer:
             signals, outcome = self.signals(contact)
         held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
         held &= np.isfinite(signals).all(axis=-1)
-        given = [i for i, n in enumerate(self.unknowns[: self.bounded]) if n in self.prior]
-        scores = np.zeros((len(contact), 0))
-        if given:
-            with np.errstate(all="ignore"):
-                scores = self.space.prior_scores(contact[..., : self.bounded])[..., given]
-                # Scores end at ±9: beyond, by how far ln of the density is below its highest.
-                below = [
-                    self.space.peaks[self.unknowns[i]]
-                    - self.prior[self.unknowns[i]].logpdf(contact[..., i])
-                    for i in given
-                ]
-                depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
-            scores = np.copysign(np.maximum(np.abs(scores), depth), scores)
-            scores = np.where(held[:, None], scores, 0.0)
+        with np.errstate(all="ignore"):
+            scores = np.where(held[:, None], self.space.given_scores(contact), 0.0)
         signals = np.where(held[:, None], signals, 0.0)
         return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
@@ -343,18 +295,6 @@ class Observer:
         Where the reach depends on a further unknown that one has layers.
         """
         return max(self.bounded, min(len(self.unknowns), 1 if self.space.reach_varies else 2))
-
-    def farthest_given(self, further: Sequence[float]) -> float:
-        """The largest distance at which contact is held, other unknowns being given, m."""
-        low, high = self.reach
-        for _ in range(5):  # to a millionth of a millionth of the reach
-            r = np.linspace(low, high, 258)[1:-1]
-            contact = np.column_stack([r, np.tile(further, (len(r), 1))])
-            held = np.flatnonzero(self.signals(contact)[1] == Outcome.HELD)
-            if not held.size or held[-1] == len(r) - 1:
-                break
-            low, high = r[held[-1]], r[held[-1] + 1]
-        return float(high if not held.size or held[-1] == len(r) - 1 else low)
 
     @cached_property
     def _bounded_ends(self) -> tuple[Array, Array]:
@@ -400,45 +340,6 @@ class Observer:
             slope = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / distribution.pdf(value)
             out[..., i, i] = slope**-2
         return out
-
-    def distance_prior(self, r: ArrayLike) -> Array:
-        """Prior density of the radial distance r (...), m, up to a factor; 0 outside the reach.
-
-        The prior of the contact with all else integrated out: where the deflection angle is
-        unknown and its prior flat, the range of angles that the whisker holds at that distance.
-        """
-        r = np.asarray(r, dtype=float)
-        low, high = self.reach
-        inside = (r > low) & (r < high)
-        place = np.where(inside, r, (low + high) / 2)
-        density = self.angles_held(place)
-        if "radial_distance" in self.prior:
-            density = density * self.prior["radial_distance"].pdf(place)
-        return np.where(inside, density, 0.0)
-
-    def angles_held(self, r: Array) -> Array:
-        """The prior of all that is held at distances (...) inside the reach, up to a factor.
-
-        The mean over further unknowns, where what is held depends on them: a friction, say.
-        """
-        contact = r[..., None, None]
-        if self.space.reach_varies:
-            names = self.unknowns[self.bounded :]
-            count = 9 if len(names) == 1 else 4
-            middle = [self.prior[name].ppf((np.arange(count) + 0.5) / count) for name in names]
-            further = np.stack(np.meshgrid(*middle), axis=-1).reshape(-1, len(names))
-            contact = np.ones((*r.shape, len(further), len(self.unknowns)))
-            contact[..., 0], contact[..., self.bounded :] = r[..., None], further
-        if self.bounded > 1:
-            least, held = self.space.angle_range(contact[..., 0], contact)
-            if "deflection_angle" in self.prior:
-                angle = self.prior["deflection_angle"]
-                held = angle.cdf(least + held) - angle.cdf(least)
-        elif self.space.reach_varies:
-            held = (self.signals(contact)[1] == Outcome.HELD).astype(float)
-        else:
-            return np.ones(r.shape)
-        return np.asarray(held.mean(axis=-1))
 
     # -- densities -----------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import domain
 from .._util.arviz_io import ArvizData
@@ -331,6 +332,47 @@ def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:
     """Readings (B, R) with a number more than 5 sd from their signals (B, S)."""
     low, high = noise.interval(signals, IMPROBABLE)
     return np.any((reading < low) | (reading > high), axis=-1)
+
+
+def distance_prior(observer: Observer, r: ArrayLike) -> Array:
+    """Prior density of the radial distance r (...), m, up to a factor; 0 outside the reach.
+
+    The prior of the contact with all else integrated out: where the deflection angle is
+    unknown and its prior flat, the range of angles that the whisker holds at that distance.
+    """
+    r = np.asarray(r, dtype=float)
+    low, high = observer.reach
+    inside = (r > low) & (r < high)
+    place = np.where(inside, r, (low + high) / 2)
+    density = _angles_held(observer, place)
+    if "radial_distance" in observer.prior:
+        density = density * observer.prior["radial_distance"].pdf(place)
+    return np.where(inside, density, 0.0)
+
+
+def _angles_held(observer: Observer, r: Array) -> Array:
+    """The prior of all that is held at distances (...) inside the reach, up to a factor.
+
+    The mean over further unknowns, where what is held depends on them: a friction, say.
+    """
+    contact = r[..., None, None]
+    if observer.space.reach_varies:
+        names = observer.unknowns[observer.bounded :]
+        count = 9 if len(names) == 1 else 4
+        middle = [observer.prior[name].ppf((np.arange(count) + 0.5) / count) for name in names]
+        further = np.stack(np.meshgrid(*middle), axis=-1).reshape(-1, len(names))
+        contact = np.ones((*r.shape, len(further), len(observer.unknowns)))
+        contact[..., 0], contact[..., observer.bounded :] = r[..., None], further
+    if observer.bounded > 1:
+        least, held = observer.space.angle_range(contact[..., 0], contact)
+        if "deflection_angle" in observer.prior:
+            angle = observer.prior["deflection_angle"]
+            held = angle.cdf(least + held) - angle.cdf(least)
+    elif observer.space.reach_varies:
+        held = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
+    else:
+        return np.ones(r.shape)
+    return np.asarray(held.mean(axis=-1))
 
 
 def contact_slope(space: ContactCoordinates, x: Array, *, h: float = 1e-5) -> Array:

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator, make_interp_spline
+from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 
@@ -379,3 +381,34 @@ def density_of_distance(sums: Any, r: Array) -> Array:
         width = np.where(inside, spans.high - spans.low, 1.0)
         out[spans.rows] = (inside * spans.mass / width).sum(axis=1) / spans.mass.sum(axis=1)
     return out
+
+
+def mixed(
+    rows: Index, log: Array, held: Flags, quantile: Array, scores: Array, parts: int
+) -> Spans:
+    """Spans of a mixture over nodes of conditional distributions, given their quantiles.
+
+    Between nodes ln of the evidence is interpolated by splines, and each quantile by cubics without
+    overshoot, as conditional distributions may have two modes; where nothing is known of a node,
+    its quantiles are those of the nearest.
+    """
+    if not held.all():
+        place = np.argwhere(held)
+        for i in np.argwhere(~held):
+            nearest = place[np.abs(place - i).sum(axis=1).argmin()]
+            quantile[tuple(i)] = quantile[tuple(nearest)]
+    log = np.maximum(log - log[held].max(), -45.0)
+    for d in range(log.ndim):
+        n = log.shape[d]
+        fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
+        log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
+        quantile = PchipInterpolator(np.arange(n), quantile, axis=d)(fine)
+    log, quantile = log.ravel(), quantile.reshape(-1, len(scores))
+    heavy = log > log.max() - 18.0
+    # Between scores mass is all but that of a Gaussian, which is not spread evenly.
+    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
+    quantile = PchipInterpolator(scores, quantile[heavy], axis=1)(fine)
+    quantile, scores = np.maximum.accumulate(quantile, axis=1), fine
+    mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
+    low, high = quantile[:, :-1], quantile[:, 1:]
+    return Spans(rows, low.reshape(1, -1), high.reshape(1, -1), mass.reshape(1, -1))

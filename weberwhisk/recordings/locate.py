@@ -21,6 +21,7 @@ from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
 from ..inference.one_distance import ReadingGroup, one_distance
 from ..inference.quadrature import TOLERANCE, sums_of
+from ..inference.result import distance_prior
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise
 from ..whisker import Whisker
@@ -412,7 +413,7 @@ def _is_improbable(observer: Observer, y: Array, covariance: Array | None, conta
 
 def _prior_sd(observer: Observer) -> float:
     r = np.linspace(*observer.reach, 402)[1:-1]
-    weight = observer.distance_prior(r)
+    weight = distance_prior(observer, r)
     mean = np.average(r, weights=weight)
     return float(np.sqrt(np.average((r - mean) ** 2, weights=weight)))
 

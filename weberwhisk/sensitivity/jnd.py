@@ -26,6 +26,7 @@ from ..cues.protocol import Cue
 from ..inference.coordinates import UNITS
 from ..inference.observer import Observer
 from ..inference.quadrature import sums_of
+from ..inference.result import distance_prior
 from ..inference.weighted import density_of_distance
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
@@ -294,7 +295,7 @@ class DistancePrior:
         self.r = np.linspace(self.low, self.high, _PLACES + 1)
         # At the ends themselves there is no contact: what is next to them tells.
         inside = np.clip(self.r, np.nextafter(self.low, 1.0), np.nextafter(self.high, 0.0))
-        density = observer.distance_prior(inside)
+        density = distance_prior(observer, inside)
         mass = np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(self.r))
         self.density, self.mass = density / mass[-1], np.append(0.0, mass / mass[-1])
 
