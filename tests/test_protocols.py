@@ -88,21 +88,6 @@ def test_whiskers_and_profiles_are_values():
         bent.arc[0] = 1.0
 
 
-def test_another_weber_fraction_leaves_the_rest():
-    assert Weber(0.1, correlation=0.5).with_weber_fraction(0.3) == Weber(0.3, correlation=0.5)
-    angles = Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], [2, 1])
-    assert angles.with_weber_fraction(0.3) == Joint(
-        [Weber(0.3), GeneralisedWeber(0, floor=0.1)], [2, 1]
-    )
-    assert angles.with_weber_fraction([0.3, 0.3, 0.0]) == angles.with_weber_fraction(0.3)
-    assert_allclose(angles.weber_fractions(3), [0.1, 0.1, 0.0])
-    assert_allclose(angles.floors(3), [0.0, 0.0, 0.1])
-    assert Events([[0.0], [1.0]]).with_weber_fraction(0.3) == Events([[0.0], [1.0]])
-    floor = GeneralisedWeber(0.1, floor=0.5, ceiling=3.0)
-    assert floor.without_floor() == GeneralisedWeber(0.1, floor=0.0, ceiling=3.0)
-    assert floor.with_weber_fraction(0.2) == GeneralisedWeber(0.2, floor=0.5, ceiling=3.0)
-
-
 def test_a_new_law_of_noise_in_four_lines():
     """It runs through the observer, the posterior and the JND, with the right numbers."""
     size = 0.1 * np.sqrt(Compliance().signals(W, np.array([20e-3]))[0][0])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
 import pytest
 from analysis_scripts import load
@@ -92,18 +89,3 @@ def test_everything_in_full() -> None:
     assert p.min() > 0.01 / p.size
     for name in [*calibration.BROKEN, *calibration.BROKEN_FITS]:
         assert min(calibration.uniform_p(r.ranks) for r in rows if r.name == name) < 0.01
-
-
-def test_only_a_table_of_its_own_is_drawn(tmp_path: Path) -> None:
-    command = load("command")
-    kept = Path(calibration.__file__).parent / "figures/calibration.csv"
-    table = command.kept(calibration.DRAWN, str(kept))
-    assert calibration.make(tmp_path / "drawn", drawn=table) is table
-    assert (tmp_path / "drawn/calibration.png").stat().st_size > 1e4
-    other = tmp_path / "other.csv"
-    other.write_text("name,n\nmap,3\n")
-    with pytest.raises(argparse.ArgumentTypeError, match="lacks group, p, covered_50"):
-        command.kept(calibration.DRAWN, str(other))
-    for path in ("missing.csv", tmp_path, calibration.__file__):
-        with pytest.raises(argparse.ArgumentTypeError, match=r"is no table|lacks"):
-            command.kept(calibration.DRAWN, str(path))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -59,21 +58,6 @@ def moment(whisker: ww.Whisker, r: float, frequency: float) -> float:
     return float(dynamic[1] @ u)
 
 
-def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
-    push = np.radians([5.0, 15.0, 25.0])
-    table = along_whisk.resolution_along_push(WHISKER, 25e-3, push)
-    by = {name: rows.reset_index() for name, rows in table.groupby("object", sort=False)}
-    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
-    peg = fisher_jnd(observer, np.stack([np.full(3, 25e-3), push], axis=-1))
-    np.testing.assert_allclose(by["peg"]["jnd_mm"], 1e3 * peg, rtol=1e-5)
-    order = [by[name]["jnd_mm"].to_numpy() for name in list(by)[:4]]
-    assert all((a < b).all() for a, b in pairwise(order))
-    wall = by["wall, by the tip"]
-    assert wall["tip"].tolist() == [True, False, False]
-    assert np.isnan(wall["jnd_mm"][0])
-    assert wall["jnd_mm"][1] < wall["jnd_mm"][2] < by["peg"]["jnd_mm"][2]
-
-
 def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> None:
     r = np.linspace(0.05, 0.95, 40) * WHISKER.length
     table = along_whisk.limits(WHISKER, r)
@@ -102,17 +86,6 @@ def test_no_cue_is_best_everywhere() -> None:
     assert np.all(every <= pair * (1 + 1e-9))
 
 
-def test_only_the_cylinder_has_a_ridge() -> None:
-    table = surveys.ridge(400)
-    spread = table.groupby("whisker")["radial_distance_mm"].std()
-    assert spread["cylinder"] > 5 * spread["tapered"]
-    ridge = table[table["whisker"] == "cylinder"]
-    # M ∝ θ/r along it: one moment, any distance.
-    ratio = ridge["deflection_angle_deg"] / ridge["radial_distance_mm"]
-    assert ratio.std() / ratio.mean() < 0.1
-    assert ridge["radial_distance_mm"].max() > 2 * ridge["radial_distance_mm"].quantile(0.1)
-
-
 def test_every_way_to_fail_is_an_outcome() -> None:
     """By chance, as a tip that is not touched, or altogether, as modes that damping merges."""
     table = surveys.outcomes(30, 60, seed=3)
@@ -126,18 +99,6 @@ def test_every_way_to_fail_is_an_outcome() -> None:
     assert "slipped off the tip" in names["moment and axial force (f)"]
     assert "flicked past" in names["balance of moments (h)"]
     assert "held" not in names["vibration, 6 damped modes (d)"]
-
-
-def test_the_surface_by_posteriors_ends_at_the_fold_and_falls_to_the_base() -> None:
-    table = surveys.posterior_surface(4, 20)
-    r, angle = table["radial_distance_mm"] * 1e-3, np.radians(table["deflection_angle_deg"])
-    share = angle / ww.flick_past(surveys.WHISKER, r).deflection_angle
-    assert list(share) == pytest.approx(np.tile(np.linspace(0.005, 0.98, 4), 4))
-    # To first order the JND is largest at the base; posteriors know that nothing is nearer.
-    light = table[1::4]  # a third of the way to the fold
-    assert light["propagation_mm"].is_monotonic_decreasing
-    assert light["posterior_mm"].iloc[0] < 0.6 * light["posterior_mm"].iloc[1]
-    assert (table["jnd_mm"] == table["posterior_mm"]).all()
 
 
 # -- a tilted surface ----------------------------------------------------------------------------

@@ -57,16 +57,6 @@ def test_columns_count_from_one_at_the_greek_arc(species: str, median: float) ->
     assert np.median(other) < -0.2
 
 
-def test_sides_are_mirror_images() -> None:
-    array = WhiskerArray("rat", curved=True).protract(0.3)
-    for name in array.identities:
-        left, right = array.whiskers[f"left {name}"], array.whiskers[f"right {name}"]
-        np.testing.assert_array_equal(left.base, right.base * [-1, 1, 1])
-        np.testing.assert_array_equal(left.direction, right.direction * [-1, 1, 1])
-        place = np.array([12e-3, 9e-3])
-        np.testing.assert_array_equal(left.in_plane(place * [-1, 1]), right.in_plane(place))
-
-
 def test_a_pole_is_met_where_the_base_tangent_crosses_it() -> None:
     rng = np.random.default_rng(1)
     r, angle = rng.uniform(1e-3, 40e-3, 50), rng.uniform(-1.5, 1.5, 50)

@@ -22,7 +22,6 @@ from weberwhisk.behaviour import (
     with_distances,
 )
 from weberwhisk.behaviour.likelihood import build_model
-from weberwhisk.behaviour.located import estimate_scatter
 
 simulate_tracking = load("tracked_session").simulate_tracking
 
@@ -166,16 +165,6 @@ def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
                      priors=KNOWN),
     ):  # fmt: skip
         assert given.weber_fraction == pytest.approx(fit.weber_fraction, rel=1e-9)
-
-
-def test_scatter_is_found_by_maximum_likelihood() -> None:
-    rng = np.random.default_rng(2)
-    sd = rng.uniform(0.2, 2.0, 4000)
-    gap = 0.5 + np.hypot(1.5, sd) * rng.standard_normal(4000)
-    found = estimate_scatter(np.r_[gap, np.nan], np.r_[sd, np.nan])
-    assert found.offset == pytest.approx(0.5, abs=0.1)
-    assert found.sd == pytest.approx(1.5, rel=0.05)
-    assert estimate_scatter(np.array([1.0]), np.array([0.5])) == (1.0, 0.0)
 
 
 def test_touches_are_joined_combined_and_missed() -> None:

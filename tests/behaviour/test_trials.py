@@ -65,17 +65,6 @@ def test_columns_by_any_name_and_text_labels(tmp_path: Path) -> None:
     assert "1 trials have no answer" in trials.notes[0]
 
 
-def test_counts_and_single_trials_are_the_same_cells() -> None:
-    single = simulate_trials(standards=[1.0, 2.0], trials_per_level=5, seed=1)
-    c = single.cells()
-    counts = pd.DataFrame(
-        {"standard": c.standard, "comparison": c.stimulus_2, "n": c.n, "n_greater": c.count}
-    )
-    other = read_trials(counts).cells()
-    for name in ("stimulus_1", "stimulus_2", "standard", "n", "count"):
-        np.testing.assert_array_equal(getattr(c, name), getattr(other, name))
-
-
 def test_writing_and_reading_come_round(tmp_path: Path) -> None:
     for task in ("2AFC", "3AFC percent correct"):
         trials = simulate_trials(task=task, missing=0.1, subject="r1", sessions=2, seed=3)
@@ -97,16 +86,6 @@ def test_writing_and_reading_come_round(tmp_path: Path) -> None:
 def test_standards_are_read_off_the_design(s1: list, s2: list, standards: list) -> None:
     frame = pd.DataFrame({"stimulus_1": s1, "stimulus_2": s2, "choice": 1})
     assert read_trials(frame).standards.tolist() == pytest.approx(standards)
-
-
-def test_selecting() -> None:
-    trials = simulate_trials(sessions=4, seed=4)
-    assert trials.select(session=2).sessions == [2]
-    assert trials.select(session=range(2, 4)).sessions == [2, 3]
-    with pytest.raises(ValueError, match="session = 9; choose values that occur"):
-        trials.select(session=9)
-    with pytest.raises(ValueError, match="did you mean 'session'"):
-        trials.select(sesion=1)
 
 
 # -- real data ------------------------------------------------------------------------------------

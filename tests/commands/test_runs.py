@@ -71,17 +71,6 @@ def test_writes_tables_figures_and_the_record(tmp_path: Path) -> None:
     assert None not in record["versions"].values()
 
 
-def test_real_figure(tmp_path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    with Run(tmp_path / "out", "bend", {}) as run:
-        run.figure("bend", Figure())
-    assert (tmp_path / "out/bend.png").read_bytes().startswith(b"\x89PNG")
-    svg = (tmp_path / "out/bend.svg").read_text()
-    assert "<svg" in svg
-    assert "dc:date" not in svg
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("there", [False, True])
 def test_a_failure_changes_nothing(tmp_path: Path, error: type[BaseException], there: bool) -> None:

@@ -7,7 +7,7 @@ from cue_checks import moments_by_midpoints
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import ComparativeLength, Cue
-from weberwhisk.sensitivity import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity import weber_propagation
 
 W = ww.Whisker(33.6e-3, 60e-6, 3e-6)
 PAIR = ComparativeLength([41.9e-3], [[-1e-3, 2e-3]])
@@ -131,20 +131,6 @@ def test_one_event_has_a_posterior_but_no_linear_jnd():
     assert np.all(
         np.abs(table["posterior"] - chance @ sd) < 4.5 * error + 1e-6
     )  # m: chances of 1e-5 are not drawn
-
-
-@EVERY
-def test_information_is_that_of_the_pattern(cue):
-    r = np.array([[32e-3], [40e-3]])
-    slope = cue.jacobian(W, r)[..., 0]
-    slope = np.concatenate([slope, -slope.sum(axis=1, keepdims=True)], axis=1)
-    chance = cue.signals(W, r)[0]
-    chance = np.concatenate([chance, 1 - chance.sum(axis=1, keepdims=True)], axis=1)
-    used = chance > 1e-10
-    expected = [
-        (s[u] ** 2 / c[u]).sum() ** -0.5 for s, c, u in zip(slope, chance, used, strict=True)
-    ]
-    assert fisher_jnd(ww.Observer(W, cue), r) == pytest.approx(expected, rel=1e-6)
 
 
 def test_it_says_where_it_does_not_work():

@@ -15,13 +15,11 @@ from weberwhisk import Outcome
 from weberwhisk.cues import (
     Compliance,
     ForceMap,
-    Friction,
     Fused,
     UnknownStiffness,
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.inference.result import distance_prior
 from weberwhisk.receptors import Afferents, GeneralisedWeber, Joint, SpikeCount, Weber
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 from weberwhisk.sensitivity import jnd as fusing
@@ -114,13 +112,6 @@ def test_joint_noise_is_each_models_own():
     assert BLOCKS.fisher(SIGNALS)[:, 0, 1:] == pytest.approx(0)
 
 
-def test_joint_noise_scatters_as_its_covariance_says():
-    drawn = BLOCKS.sample(np.broadcast_to(SIGNALS[0], (40_000, 4)), seed=2)
-    covariance = BLOCKS.covariance(SIGNALS[0])
-    scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    assert np.allclose(np.cov(drawn.T) / scale, covariance / scale, atol=0.04)
-
-
 # -- posteriors --------------------------------------------------------------------------------
 
 
@@ -193,17 +184,6 @@ def test_information_is_that_of_a_brute_force_sum(cue):
     bits = ww.information(observer, n_readings=600, seed=1)
     # What the distances left out add is below their share of the most there is.
     assert abs(bits.value - told) < 4 * bits.error + 10 * np.mean(~inside)
-
-
-def test_the_prior_of_distance_is_the_mean_of_what_is_held():
-    """Of what is held at the most friction it was up to 8 % off."""
-    observer = ww.Observer(W, Friction(ForceMap()))
-    r, share = np.linspace(2e-3, 45e-3, 5), (np.arange(50) + 0.5) / 50
-    friction = observer.prior["friction_angle"].ppf(share)
-    contact = np.stack(np.broadcast_arrays(r[:, None], 1.0, friction), axis=-1)
-    held = observer.space.angle_range(contact[..., 0], contact)[1].mean(axis=1)
-    ratio = distance_prior(observer, r) / held
-    assert ratio == pytest.approx(ratio[0], rel=2e-3)
 
 
 @pytest.mark.parametrize(

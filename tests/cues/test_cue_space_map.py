@@ -67,13 +67,6 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals(contact):
         assert np.isfinite(signals).any() == (outcome == Outcome.HELD)
 
 
-@pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan])
-def test_readings_that_are_no_numbers_have_no_contact(bad):
-    place, outcome = ForceMap().contact(W, [[bad, 1e-5], [2e-6, bad]])
-    assert np.isnan(place).all()
-    assert (outcome == Outcome.OUT_OF_REACH).all()
-
-
 def rod_signals(whisker, place, friction=0.0):
     """The six signals and outcomes of a straight whisker's contacts, by the rod itself."""
     r, theta, turn = place.T

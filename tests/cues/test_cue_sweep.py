@@ -11,14 +11,11 @@ import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
 from weberwhisk.mechanics import elastica, profile
-from weberwhisk.mechanics import objects as slip
-from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.mechanics.objects import cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, follow
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
-FORWARD = ForwardModel(W)
 PUSH = np.radians(np.arange(1.0, 31.0))
 BODIES = {
     "peg": peg(30e-3, 0.0),
@@ -74,16 +71,6 @@ def test_a_wall_is_followed_from_where_its_flank_touches():
     assert np.isnan(lost.radial_distance).all()
 
 
-def test_past_flick_past_nothing_is_followed():
-    push = np.radians(np.arange(2.0, 41.0, 2.0))
-    moment = elastica.press(W, 30e-3, np.minimum(push, np.radians(32.0))).moment
-    track = SweepFilter(W, Weber(0.02), slip_rate=0.0, slip_change=0.0)(push, moment, seed=1)
-    gone = push > np.radians(33.0)
-    assert np.all(track.outcome[gone] == Outcome.FLICKED_PAST)
-    assert np.isnan(track.radial_distance[gone]).all()
-    assert np.all(track.outcome[push < np.radians(31)] == Outcome.HELD)
-
-
 @pytest.mark.parametrize("name", BODIES)
 def test_the_filter_finds_the_contact_within_its_own_uncertainty(sweeps, name):
     r, theta, moment, contact, first = sweeps[name]
@@ -126,43 +113,6 @@ def test_walls_that_the_tip_meets_are_followed(depth):
         assert np.all(track.outcome[3:] == Outcome.HELD)
     assert np.sqrt(np.nanmean(np.square(off))) < 1.3
     assert np.nanmax(np.abs(off)) < 4
-
-
-@pytest.mark.parametrize(
-    ("depth", "curvature", "friction"),
-    slow_but([(5e-3, 0, 0), (9e-3, 8, -0.3), (30e-3, 0, 0), (4e-3, 20, 0)], [1]),
-)
-def test_the_rate_of_slip_on_a_wall_is_that_of_its_sweep(depth, curvature, friction):
-    whisker, body = replace(W, curvature=curvature), wall(0.0, -depth, 0.0)
-    first = sweep(whisker, body, np.radians([-1.0, 80.0]), friction).first_contact
-    if curvature:  # the flank touches first, where the circle's tangent is the wall's
-        assert first == pytest.approx(np.arccos(1 - curvature * depth), abs=1e-7)
-    at = np.radians(np.arange(6.0, 30.0, 6.0))
-    step = np.array([-1e-4, 0.0, 1e-4])
-    angles = np.r_[first - 0.01, first + (at[:, None] + step).ravel()]
-    full = sweep(whisker, body, angles, friction)
-    assert not full.tip[1:].any()
-    r, theta = (
-        np.reshape(x[1:], (-1, 3))
-        for x in (full.bending.radial_distance, full.bending.deflection_angle)
-    )
-    rate = (r[:, 2] - r[:, 0]) / 2e-4
-    forward = Friction(ForceMap("moment"), friction).forward(whisker, np.zeros(2))
-    found = slip.rate_on_wall(forward, r[:, 1], theta[:, 1])
-    assert found == pytest.approx(rate, rel=2e-3)
-
-
-def test_the_flank_takes_over_from_the_tip():
-    depth = 20e-3
-    body = wall(0.0, -depth, 0.0)
-    first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
-    full = sweep(W, body, first + np.r_[-0.01, np.linspace(1e-3, 0.06, 60)])
-    last = full.bending.held & full.tip
-    r, theta, beta = slip.tip_contacts(FORWARD)
-    place = np.interp(full.bending.deflection_angle[last], theta, r)
-    assert place == pytest.approx(full.bending.radial_distance[last], rel=1e-3)
-    release = np.interp(np.arcsin(depth / W.length), beta, theta)
-    assert full.bending.deflection_angle[last][-1] == pytest.approx(release, rel=0.05)
 
 
 def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():

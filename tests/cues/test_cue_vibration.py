@@ -10,7 +10,7 @@ from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
-from weberwhisk.cues import Compliance, ForceMap, Vibration
+from weberwhisk.cues import ForceMap, Vibration
 from weberwhisk.inference.laplace import count_peaks, is_divided
 from weberwhisk.mechanics import modes
 from weberwhisk.receptors import GeneralisedWeber, Weber
@@ -104,27 +104,6 @@ def test_modes_that_damping_merges_are_unresolved():
     assert table["outcome"].str.startswith("unresolved").all()
     assert table["posterior"].isna().all()
     assert Vibration(2, damping_ratio=share * merging).resolved(W)
-
-
-def test_a_contact_beyond_the_whisker_is_out_of_reach():
-    signals, outcome = Vibration().signals(W, np.array([[51e-3], [0.0]]))
-    assert np.all(outcome == Outcome.OUT_OF_REACH)
-    assert np.isnan(signals).all()
-
-
-def test_peaks_are_counted_as_intervals_of_highest_density():
-    """|φ₂/φ₁| has two places for small values, on either side of the node: nothing else."""
-    cue = Vibration(2)
-    r = np.linspace(1e-3, W.length, 20_001)[:, None]
-    ratio = cue.signals(W, r)[0][:, 0]
-    beyond = ratio.argmin()
-    low, top = ratio[-1], ratio.max()  # the largest value beyond the node, and before it
-    observer = ww.Observer(W, cue, cue.noise(0.01, 0.005))
-    assert count_peaks(observer, [[0.5 * low], [(low + top) / 2]]).tolist() == [2, 1]
-    assert 0 < beyond < len(r) - 1
-    # One peak of any width is one interval.
-    tap = ww.Observer(W, Compliance())
-    assert np.all(count_peaks(tap, tap.read(np.linspace(5e-3, 45e-3, 20), 1)) == 1)
 
 
 def test_amplitudes_leave_several_places_and_their_phases_one():

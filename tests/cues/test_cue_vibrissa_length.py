@@ -100,17 +100,6 @@ def test_one_event_has_a_posterior_but_no_linear_jnd():
     assert fisher_jnd(observer, [2e-3]) > 10 * W.length
 
 
-def test_information_is_that_of_the_event():
-    observer = ww.Observer(W, VibrissaLength())
-    r, h = 45e-3, 1e-7
-    chance = [
-        np.append(c, 1 - c.sum()) for c in (observer.signals([r + s * h])[0] for s in (-1, 0, 1))
-    ]
-    slope = (chance[2] - chance[0]) / (2 * h)
-    expected = (slope**2 / chance[1]).sum() ** -0.5
-    assert fisher_jnd(observer, [r]) == pytest.approx(expected, rel=1e-6)
-
-
 def test_it_says_where_it_does_not_work():
     cue = VibrissaLength()
     r, outcome = cue.radial_distance(W, [TIP, SHAFT, NONE])

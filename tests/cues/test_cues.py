@@ -12,7 +12,6 @@ from weberwhisk.cues import (
     ComparativeLength,
     Compliance,
     ContactAndDetachment,
-    Cue,
     ForceMap,
     Fused,
     SpaceMap,
@@ -21,7 +20,7 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.receptors import GeneralisedWeber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 CUES = [
@@ -44,16 +43,6 @@ def contacts(cue, n=50):
         limit = np.minimum(limit, cue.largest_angle(W, r))
     theta = limit * rng.uniform(0.05, 0.9, n)
     return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
-
-
-@pytest.mark.parametrize("cue", CUES, ids=repr)
-def test_every_cue_keeps_the_protocol(cue):
-    assert isinstance(cue, Cue)
-    contact = contacts(cue)
-    signals, outcome = cue.signals(W, contact)
-    assert signals.shape == (50, len(cue.signal_names))
-    assert np.all(outcome == Outcome.HELD)
-    assert cue.unknowns[0] == "radial_distance"
 
 
 @pytest.mark.parametrize("cue", CUES, ids=repr)
@@ -82,13 +71,6 @@ def test_compliance_reaches_as_far_as_the_tap_can_be_held():
         Compliance(tap_angle=np.radians(120)).farthest(W)
 
 
-def test_the_force_map_is_inverted_wherever_it_is_held():
-    contact = contacts(ForceMap(), 2000)
-    found, outcome = ForceMap().contact(W, ForceMap().signals(W, contact)[0])
-    assert np.all(outcome == Outcome.HELD)
-    assert np.allclose(found, contact, rtol=1e-6)
-
-
 def test_the_force_map_of_a_cylinder_has_no_inverse():
     cylinder = W.cylinder()
     signals, _ = ForceMap().signals(cylinder, np.array([[30e-3, 0.3]]))
@@ -113,15 +95,6 @@ def test_priors_are_used_and_bound_the_reach():
         (observer.contact(x + e)[0] - observer.contact(x - e)[0]) / (2 * h) for e in h * np.eye(2)
     ]
     assert log_jacobian == pytest.approx(np.log(np.abs(np.linalg.det(slope))), abs=1e-6)
-
-
-def test_information_is_the_jacobian_around_the_noise():
-    observer = ww.Observer(W, Compliance(), Weber(0.1))
-    r = 30e-3
-    slope = observer.cue.jacobian(W, np.array([r]))[0, 0]
-    signal = observer.signals(np.array([r]))[0][0]
-    expected = slope**2 * 1.02 / (0.1 * signal) ** 2
-    assert observer.information(np.array([r]))[0, 0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -151,23 +124,6 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
-
-
-def test_an_observer_says_what_it_was_not_given():
-    cue = Compliance()
-    for arguments, words in (
-        (("C2", cue), "needs a Whisker"),
-        ((W, "compliance"), "needs a cue"),
-        ((W, Compliance), "needs a cue"),
-        ((W, cue, 0.1), "needs receptor noise"),
-        ((W, cue, Weber([0.1, 0.1])), "not of 1 signals"),
-        ((W, ForceMap(), Weber([0.1, 0.1, 0.1])), "not of 2 signals"),
-        ((W, cue, None, {"radial_distance": (0, 1)}), "frozen SciPy distribution"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            ww.Observer(*arguments)
-    with pytest.raises(ValueError, match="model"):
-        ww.Observer(W, cue, model="foo")
 
 
 EVERY = [

@@ -90,15 +90,6 @@ def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards
         assert placer.beliefs[name].log_evidence == pytest.approx(fit.log_evidence, abs=0.05)
 
 
-def test_probabilities_are_those_of_the_evidence():
-    placer = BayesianPlacer(TAPER, lattice(TAPER[1].encoding, [15e-3, 40e-3]), seed=2)
-    session(placer, 40, animal(TAPER[0], seed=3))
-    log = np.array([fit.log_evidence for fit in placer.fits().values()])
-    share = 1 / (1 + np.exp(log[1] - log[0]))
-    assert placer.probabilities["tapered"] == pytest.approx(share, abs=0.01)
-    assert sum(placer.probabilities.values()) == pytest.approx(1)
-
-
 # -- the objective -------------------------------------------------------------------------------
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pandas as pd
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from property_strategies import POWERS, floats, scaled, whiskers
@@ -19,7 +16,6 @@ from weberwhisk.design import (
     lattice,
     next_trial,
     taper,
-    trial_lists,
 )
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -41,47 +37,6 @@ def schemes(draw: st.DrawFn, most: int = 30) -> Scheme:
         counts.append([draw(st.integers(1, most)) for _ in offsets])
     animals = draw(st.integers(1, 3))
     return Scheme([s * unit for s in standards], rows, counts, animals)
-
-
-@given(schemes())
-def test_a_scheme_counts_what_it_holds(scheme: Scheme) -> None:
-    table = scheme.table()
-    assert table["trials"].sum() == scheme.n_trials
-    assert scheme.total_trials == scheme.n_trials * scheme.animals
-    assert list(scheme.standards) == sorted(scheme.standards)
-    again = replace(scheme)
-    assert again == scheme
-    more = scheme.with_animals(5).with_trials(3)
-    assert more.total_trials == 15 * len(table)
-    offsets = scheme.cells().stimulus_2 - scheme.cells().standard
-    # Comparisons are given to twelve digits, so that lists of trials are the same everywhere.
-    wanted = np.concatenate(scheme.offsets)
-    np.testing.assert_allclose(offsets, wanted, atol=1e-11 * max(scheme.standards))
-
-
-@given(schemes(), st.integers(4, 60), st.integers(2, 6), SEEDS)
-def test_trial_lists_are_balanced_and_repeat(
-    scheme: Scheme, per_session: int, longest: int, seed: int
-) -> None:
-    options = {"trials_per_session": per_session, "longest_run": longest, "seed": seed}
-    table = trial_lists(scheme, **options)
-    pd.testing.assert_frame_equal(table, trial_lists(scheme, **options))
-    assert len(table) == scheme.total_trials
-    first = table["stimulus_1_mm"] > table["stimulus_2_mm"]
-    assert (table["greater"] == np.where(first, 1, 2)).all()
-    levels = scheme.table()["trials"].to_numpy()
-    for _, animal in table.groupby("subject"):
-        # Every level as often as asked for; each side of it as often as the other, within one.
-        assert (animal["level"].value_counts().sort_index().to_numpy() == levels).all()
-        sides = animal.groupby("level")["greater"].agg(
-            lambda g: abs(int((g == 1).sum() * 2 - len(g)))
-        )
-        assert sides.max() <= 1
-        assert animal.groupby("session").size().max() <= per_session
-        assert (animal.groupby("session")["trial"].max() == animal.groupby("session").size()).all()
-    # Another animal changes nothing for those that there are.
-    wider = trial_lists(scheme.with_animals(scheme.animals + 1), **options)
-    pd.testing.assert_frame_equal(table, wider.iloc[: len(table)])
 
 
 @few

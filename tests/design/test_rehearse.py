@@ -157,32 +157,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(animals: int) -> None:
     assert abs(summary["bias"]) < 4 * 0.6 * 1.25 / np.sqrt(animals)
 
 
-def test_a_summary_counts_the_table(plan: Plan) -> None:
-    table = pd.DataFrame(
-        {
-            "truth": ["tapered"] * 10 + ["cylindrical"] * 10,
-            "run": [*range(10)] * 2,
-            "conclusion": ["tapered"] * 7 + [NEITHER] * 2 + ["cylindrical"] * 11,
-            "log_bayes_factor": 0.0,
-            "weber_fraction": 0.11,
-            "half_width": [0.3] * 10 + [0.4] * 10,
-            "covered": [1.0] * 9 + [0.0] + [1.0] * 10,
-            "determined": 1.0,
-            "right": [1.0] * 7 + [0.0] * 3 + [1.0] * 10,
-            "reached": [1.0] * 7 + [0.0] * 3 + [1.0] * 10,
-        }
-    )
-    seen = SimulatedStudy(plan, table).summary()
-    expected = {"reached": 0.7, "right": 0.7, "wrong": 0.1, "undecided": 0.2, "covered": 0.9}
-    assert seen.loc["tapered", list(expected)].to_dict() == pytest.approx(expected)
-    assert seen.loc["tapered", "error"] == pytest.approx(np.sqrt(0.7 * 0.3 / 10))
-    assert seen.loc["cylindrical", ["wrong", "undecided", "error"]].tolist() == [0, 0, 0]
-    assert seen["bias"].tolist() == pytest.approx([0.1, 0.1])
-    assert seen["half_width"].tolist() == [0.3, 0.4]
-    report = SimulatedStudy(plan, table).report()
-    assert "right in 70 %, wrong in 10 % and open in 20 %" in report
-
-
 def test_wilsons_interval_solves_its_own_equation() -> None:
     """Its ends p have |share − p| = 1.96 √(p(1 − p)/n), by definition."""
     for share, n in ((0.8, 100), (0.0, 20), (1.0, 7), (0.5, 1)):

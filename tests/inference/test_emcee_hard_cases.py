@@ -54,7 +54,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", slow_but(CASES, (4,)))
+@pytest.mark.parametrize("case", slow_but(CASES, (2,)))
 def test_no_wrong_sd_is_called_converged(case):
     observer, contact = CASES[case]
     readings = observer.read(np.array(contact), seed=1)

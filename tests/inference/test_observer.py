@@ -129,15 +129,3 @@ def test_a_missing_reading_leaves_the_others_as_they_are(cue, method):
     table = p.summary()
     assert (table.status == lost.message).sum() == 2 * len(observer.unknowns)
     assert np.array_equal(p.outcome == ww.Outcome.NOT_A_READING, ~known)
-
-
-@pytest.mark.parametrize(
-    "cue", [cues.ForceMap(), cues.ForceMap("moment", deflection_angle=0.2)], ids=repr
-)
-def test_readings_in_another_unit_are_told(cue):
-    observer = ww.Observer(W, cue)
-    contact = observer.contact(observer.space.spread(np.linspace(0.1, 0.8, 4)))[0]
-    right = observer.read(contact, seed=1)
-    ww.posterior(observer, right)  # without a word
-    with pytest.warns(UserWarning, match="did you pass mN"):
-        ww.posterior(observer, 1e3 * right[:1])

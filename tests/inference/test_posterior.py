@@ -223,14 +223,6 @@ def test_to_arviz_has_draws_of_the_posterior(arviz, method):
     assert "moment" in data.observed_data
 
 
-def test_seeds_repeat():
-    observer = ww.Observer(W, Compliance())
-    reading = observer.read(30e-3, seed=1)
-    a, b, c = (ww.posterior(observer, reading, "emcee", seed=s) for s in (1, 1, 2))
-    assert a.mean == b.mean
-    assert a.mean != c.mean
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [

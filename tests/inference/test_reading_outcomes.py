@@ -19,7 +19,6 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.inference import Status
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 ARRAY = ComparativeLength([30e-3], [[0.0, 6e-3]])
@@ -48,13 +47,6 @@ def test_the_posterior_says_what_the_method_makes_of_the_reading(cue, reading, o
     assert p.summary()["outcome"][0] == outcome.message
     # Lengths and angles are uncertain: there is a posterior all the same.
     assert np.isfinite(p.sd)
-
-
-def test_a_cylinder_has_no_contact_for_any_pair_of_moment_and_axial_force():
-    observer = ww.Observer(W.cylinder(), ForceMap())
-    p = ww.posterior(observer, observer.read([[20e-3, 0.2], [30e-3, 0.3]], seed=1))
-    assert p.outcome.tolist() == [Outcome.OUT_OF_REACH] * 2
-    assert np.all(p.status == Status.UNIDENTIFIED)
 
 
 @pytest.mark.parametrize("cue", [c for c in CUES if not c.takes_curved], ids=repr)

@@ -102,16 +102,17 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
 RUBBING = Observer(W, cues.Friction(cues.ForceMap()))
 
 
+@pytest.mark.slow
 def test_the_friction_of_each_touch_is_summed():
     """Beside a plain sum over friction and deflection."""
     readings = RUBBING.read([[25e-3, 0.2, 0.1], [25e-3, 0.3, -0.2]], seed=1)
-    r = np.linspace(4e-3, 44e-3, 61)
-    friction = RUBBING.prior["friction_angle"].ppf((np.arange(30) + 0.5) / 30)[:, None]
-    share = (np.arange(100) + 0.5) / 100
+    r = np.linspace(4e-3, 44e-3, 81)
+    friction = RUBBING.prior["friction_angle"].ppf((np.arange(60) + 0.5) / 60)[:, None]
+    share = (np.arange(200) + 0.5) / 200
     log = np.zeros((2, len(r)))
     prior = np.zeros(len(r))
     for row, distance in enumerate(r):
-        contact = np.ones((30, 100, 3))
+        contact = np.ones((60, 200, 3))
         contact[..., 0], contact[..., 2] = distance, friction
         limit = RUBBING.space.angle_range(contact[:, 0, 0], contact[:, 0])[1]
         contact[..., 1] = limit[:, None] * (1 - share**2)

@@ -250,20 +250,6 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
             np.testing.assert_allclose(found[i], exact, rtol=0, atol=0.01 * width)
 
 
-@pytest.mark.parametrize("k", [0.03, 0.1])
-def test_quantiles_of_one_unknown_are_those_of_the_density(k):
-    observer = ww.Observer(W, Compliance(), Weber(k))
-    reading = observer.read(30e-3, seed=1)
-    p = ww.posterior(observer, reading)
-    probability = np.array([0.025, 0.5, 0.975])
-    r = np.linspace(p.mean - 10 * p.sd, min(p.mean + 10 * p.sd, 49.999e-3), 100_001)
-    log = observer.log_likelihood(reading, r[:, None])
-    rise = np.cumsum(np.exp(log - log.max()))
-    exact = np.interp(probability, (rise - rise[0] / 2) / rise[-1], r + (r[1] - r[0]) / 2)
-    off = np.abs(p.quantile(probability) - exact)
-    assert np.all(off < 1e-3 * p.sd)
-
-
 def test_draws_have_the_posteriors_moments():
     observer = ww.Observer(W, ForceMap(), Weber(0.3))
     p = ww.posterior(observer, observer.read([35e-3, 0.2], seed=4))

@@ -357,11 +357,10 @@ def scores(n, seed):
     return [share[which].mean() for which in (..., held) for share in (met, cheapest)]
 
 
-@pytest.mark.parametrize(
-    ("count", "seed"), [(1000, 1), pytest.param(11_400, 2, marks=pytest.mark.slow)]
-)
-def test_the_rung_taken_is_right_in_a_thousand_scenes(count, seed):
-    met, cheapest, met_held, cheapest_held = scores(count, seed)
+@pytest.mark.slow
+def test_the_rung_taken_is_right_in_ten_thousand_scenes():
+    """Fewer, by hypothesis, are in test_properties."""
+    met, cheapest, met_held, cheapest_held = scores(11_400, 2)
     assert met >= 0.995
     assert cheapest >= 0.90
     assert met_held >= 0.995

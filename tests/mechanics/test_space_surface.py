@@ -21,7 +21,7 @@ def relative(found, exact):
     return np.abs(off) / np.repeat(np.stack(size, axis=1), 3, axis=1)
 
 
-@pytest.mark.parametrize("friction", [0.0, -0.3, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("friction", slow_but([0.0, -0.3, 0.3], (1,)))
 def test_signals_and_ends_are_those_of_the_rod_itself(friction):
     surface = space_surface(W, (friction, friction))
     assert surface.error < 2e-5

@@ -108,16 +108,6 @@ def test_force_and_moment_balance_along_the_arc(plane, psi):
     assert abs(b.moment[0]) > 0.02 * np.abs(b.moment).max()  # torsion is really there
 
 
-def test_turning_whisker_and_object_together_turns_the_signals():
-    point, roll = np.array([30e-3, 1e-3, 5e-3]), 1.1
-    c, s = np.cos(roll), np.sin(roll)
-    turn = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    a, b = rod.press(CURVED, point), rod.press(CURVED, turn @ point, plane=roll)
-    assert a.outcome is b.outcome is Outcome.HELD
-    np.testing.assert_allclose(turn @ a.force, b.force, atol=1e-9 * a.magnitude)
-    np.testing.assert_allclose(turn @ a.moment, b.moment, atol=1e-9 * np.abs(a.moment).max())
-
-
 def test_press_inverts_bend_and_ends_as_rung_2_does():
     b = rod.bend(CURVED, 30e-3, 6e-5, np.radians([10, 50, 90, 140]), 0.1)
     again = rod.press(CURVED, b.contact, 0.1)

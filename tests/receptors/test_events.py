@@ -48,18 +48,6 @@ def test_information_is_the_mean_square_of_the_score(noise):
 
 
 @EVERY
-def test_the_stabilised_chances_carry_the_information(noise):
-    h = 1e-6
-    slope = np.stack(
-        [
-            noise.resolution(CHANCE + h * e)[0] - noise.resolution(CHANCE - h * e)[0]
-            for e in np.eye(3)
-        ]
-    ) / (2 * h)
-    assert slope @ slope.T == pytest.approx(noise.fisher(CHANCE), rel=1e-7)
-
-
-@EVERY
 def test_samples_come_as_often_as_their_chances(noise):
     n = 100_000
     sample = noise.sample(np.broadcast_to(CHANCE, (n, 3)), seed=1)

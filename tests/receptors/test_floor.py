@@ -19,14 +19,11 @@ from weberwhisk.cues import (
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
 from weberwhisk.receptors import (
-    Afferents,
     GeneralisedWeber,
     Joint,
     LogNormal,
-    SpikeCount,
     Weber,
 )
-from weberwhisk.sensitivity import weber_propagation
 
 W = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 CONCAVE = replace(W, curvature=-12.0)
@@ -111,32 +108,11 @@ def test_noise_without_a_floor_is_refused_with_the_line_to_write(whisker, cue, n
     assert type(typed) is type(noise) or isinstance(typed, GeneralisedWeber)
 
 
-def test_noise_that_does_not_vanish_is_left_as_it_is():
-    for noise in (
-        GeneralisedWeber(0.1, floor=1e-12),
-        GeneralisedWeber(0.0, floor=[1e-8, 1e-6]),
-        GeneralisedWeber(0.2, floor=[0.0, 1e-9]),
-        Joint([Weber(0.1), SpikeCount(Afferents(5, 1e-6, 1e-3))], [1, 1]),
-    ):
-        assert Observer(CONCAVE, ForceMap(), noise).noise is noise
-
-
 def test_an_observer_made_from_another_has_the_floor_of_its_own_whisker():
     straight = Observer(W, ForceMap())
     concave = replace(straight, whisker=CONCAVE)
     assert concave == Observer(CONCAVE, ForceMap())
     assert replace(concave, whisker=W) == straight
-
-
-def test_closed_forms_of_straight_whiskers_hold():
-    """(3.5), and the small-angle form of the map: no floor, so that they are exact."""
-    r, a, k = np.array([10e-3, 25e-3, 40e-3]), W.apex_distance, 0.1
-    tap = weber_propagation(Observer(W, Compliance()), r[:, None])
-    assert tap == pytest.approx(k * r * (1 - r / a), rel=1e-12)
-    light = np.column_stack([r, np.full(3, 1e-4)])
-    pair = weber_propagation(Observer(W, ForceMap()), light, model="closed_form")
-    expected = 0.5 * (a - r) * (3 * a - 2 * r) / (2 * a - r) * np.sqrt(5) * k
-    assert pair == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(

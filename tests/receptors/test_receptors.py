@@ -12,7 +12,6 @@ from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
     LogNormal,
-    ReceptorNoise,
     Saturating,
     SpikeCount,
     Weber,
@@ -53,20 +52,6 @@ def test_likelihood_is_scipys_normal_with_the_models_covariance(noise):
         assert ours == pytest.approx(
             stats.multivariate_normal.logpdf(y, mean, covariance), rel=1e-12
         )
-
-
-@every_model
-def test_parts_of_a_model_fit_together(noise):
-    assert isinstance(noise, ReceptorNoise)
-    size = noise.reading_size(2)
-    mean, sd, jacobian = noise.mean(SIGNALS), noise.sd(SIGNALS), noise.jacobian(SIGNALS)
-    assert mean.shape == sd.shape == noise.sample(SIGNALS, seed=1).shape == (3, size)
-    assert jacobian.shape == (3, size, 2)
-    variance = np.diagonal(noise.covariance(SIGNALS), axis1=-2, axis2=-1)
-    assert np.allclose(sd**2, variance, rtol=1e-12)
-    for axis, h in enumerate(1e-5 * np.eye(2)):
-        rise = (noise.mean(SIGNALS + h) - noise.mean(SIGNALS - h)) / 2e-5
-        assert np.allclose(jacobian[..., axis], rise, rtol=1e-6, atol=1e-8)
 
 
 @every_model
@@ -213,13 +198,6 @@ def test_a_log_normal_receptor_does_not_mistake_the_sign():
     assert np.isfinite(noise.log_likelihood([0.3, -4.4], SIGNALS[1]))
 
 
-def test_a_saturated_receptor_knows_nothing():
-    noise = GeneralisedWeber(0.1, floor=0.1, ceiling=2.0)
-    assert noise.fisher([5.0])[0, 0] == 0
-    assert noise.log_likelihood([2.1], [5.0]) == noise.log_likelihood([2.1], [50.0])
-    assert noise.saturated([1.0, 5.0]).tolist() == [False, True]
-
-
 def test_a_signal_without_spread_is_impossible_not_nan():
     assert Weber(0.1).log_likelihood([1.0], [0.0]) == -np.inf
     assert Weber(0.1).log_likelihood([0.0], [0.0]) == -np.inf
@@ -262,19 +240,6 @@ def test_quadrature_agrees_with_brute_force(noise):
         expected_mean, expected_sd = brute_force(observer, reading)
         assert abs(mean - expected_mean) < 2e-3 * expected_sd
         assert sd == pytest.approx(expected_sd, rel=2e-3)
-
-
-def test_a_far_tail_of_a_log_normal_reading_is_integrated_too():
-    """At k = 0.7 a reading 3.7 sd up the log scale lies 10 sd from the mean on the linear one."""
-    noise = LogNormal(0.7)
-    prior = {"radial_distance": stats.norm(0.9 * W.length, 0.002 * W.length)}
-    observer = ww.Observer(W, Compliance(), noise, prior)
-    signal = observer.signals([0.9 * W.length])[0]
-    reading = signal * np.exp(4.5 * noise.sigma)
-    assert reading > signal + 10 * noise.sd(signal)
-    p = ww.posterior(observer, reading)
-    assert p.status == Status.OUTSIDE_DOMAIN  # of Weber fractions
-    assert abs(p.mean - 0.9 * W.length) < 2 * 0.002 * W.length
 
 
 def test_the_linear_jnd_goes_by_the_slope_of_the_response():

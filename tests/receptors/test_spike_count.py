@@ -9,9 +9,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy import integrate, stats
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.inference.laplace import find_mode
-from weberwhisk.inference.result import is_improbable
+from weberwhisk.cues import Compliance
 from weberwhisk.receptors import Afferents, SpikeCount, Weber
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
@@ -41,21 +39,6 @@ def test_counts_are_scipys_poisson_and_negative_binomial():
         else:
             expected = stats.poisson.logpmf(counts, mean)
         assert np.allclose(noise.log_likelihood(counts, signals), expected.sum(axis=1), rtol=1e-12)
-
-
-def test_rates_are_naka_rushtons_times_the_time_they_last():
-    slow = Afferents(3, 1.0, 100.0, peak_rate=80.0, exponent=1.5, spontaneous_rate=2.0)
-    rapid = Afferents(2, 10.0, 1000.0, peak_rate=300.0, exponent=4.0, spontaneous_rate=1.0)
-    noise = SpikeCount(slow, rapid, window=0.05, rise_time=0.02)
-    force = 7.0
-    expected = [
-        0.05 * (2 + 80 * force**1.5 / (force**1.5 + c**1.5)) for c in (1.0, 10.0, 100.0)
-    ] + [  # they see the speed 7/0.02, and for 0.02 s
-        0.05 * 1 + 0.02 * 300 * (force / 0.02) ** 4 / ((force / 0.02) ** 4 + c**4)
-        for c in (10.0, 1000.0)
-    ]
-    assert np.allclose(noise.mean([force]), expected, rtol=1e-13)
-    assert np.array_equal(noise.mean([-force]), noise.mean([force]))
 
 
 # -- Weber's law ----------------------------------------------------------------------------------
@@ -183,17 +166,6 @@ def test_the_linear_jnd_of_poisson_counts_is_fishers():
     contact = np.array([[0.2], [0.6], [0.9]]) * W.length
     observer = ww.Observer(W, Compliance(), OBSERVED["both"])
     assert np.allclose(weber_propagation(observer, contact), fisher_jnd(observer, contact))
-
-
-def test_counts_of_two_signals_find_their_mode():
-    noise = SpikeCount(Afferents(30, [1e-8, 1e-7], [1e-4, 1e-2]))
-    observer = ww.Observer(W, ForceMap(), noise)
-    counts = observer.read(np.tile([[0.5 * W.length, 0.2]], (20, 1)), seed=5)
-    mode = find_mode(observer, counts)
-    contact = observer.contact(mode.x)[0]
-    assert not is_improbable(observer, counts, contact).any()
-    counts[0, 0] += 100
-    assert is_improbable(observer, counts, contact)[0]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import plots
@@ -133,14 +132,6 @@ def test_misuse_is_refused(arguments, words):
         ww.jnd_curve(ww.Observer(W, Compliance()), **arguments)
 
 
-def test_perfectly_correlated_signals_beyond_need_are_refused():
-    cue = ForceMap(("moment", "axial_force", "transverse_force"))
-    noise = GeneralisedWeber(0.1, floor=[0, 0, 1e-9], correlation=1.0)
-    observer = ww.Observer(W, cue, noise)
-    with pytest.raises(ValueError, match=r"no best combination.*write a correlation"):
-        weber_propagation(observer, [30e-3, 0.3])
-
-
 @pytest.mark.parametrize("angle", [0.0, -0.2])
 def test_a_deflection_that_is_not_positive_is_refused(angle):
     """A negative one gave a JND of 1e-8 mm by posteriors, 5 mm by the closed form."""
@@ -180,20 +171,6 @@ def test_the_tolerance_of_posteriors_is_below_the_error_of_their_draws():
 
 
 # -- where linear JNDs are not to be believed ----------------------------------------------------
-
-#: r/L and the θ_d from which on ∂M/∂θ_d < 0 at R = 20 (the maintainers' theory notes), degrees.
-PEAKS = [(0.3, 46.6), (0.5, 33.3), (0.7, 20.8), (0.9, 8.8)]
-
-
-@pytest.mark.parametrize(("share", "degrees"), slow_but(PEAKS, (3,)))
-def test_false_zeros_of_axial_noise_are_told(share, degrees):
-    observer = ww.Observer(W, ForceMap(), Weber([1e-3, 0.1]))
-    theta = np.radians(np.array([0.3, 1.0]) * degrees)
-    curve = ww.jnd_curve(observer, share * L, theta, n_readings=60, seed=1)
-    assert curve["linear"].tolist() == [True, False]
-    ratio = curve["propagation"] / curve["posterior"]
-    assert ratio[0] == pytest.approx(1, rel=0.15)
-    assert ratio[1] < 0.5  # the posterior has no zero there
 
 
 def test_false_zeros_of_moment_noise_are_told():

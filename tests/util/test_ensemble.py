@@ -77,19 +77,6 @@ def test_moves_leave_a_correlated_gaussian_as_it_is(name: str, dim: int) -> None
     assert product.std() / np.sqrt(len(product)) < 0.02  # so a bias of 10 % would show
 
 
-@pytest.mark.parametrize("name", MOVES)
-def test_blocks_are_uncorrelated(name: str) -> None:
-    # They share the draw of who pairs with whom, which must not make them move together.
-    start = np.random.default_rng(3).standard_normal((400, 4, 1))
-    chain = run_blocks(lambda x: -0.5 * x[..., 0] ** 2, start, MOVES[name], steps=200, seed=4)
-    for series in (chain.mean(axis=2), np.square(chain).mean(axis=2)):
-        average = series[100:, :, 0].mean(axis=0)  # one number a block
-        across = series[..., 0].mean(axis=1)  # all blocks together, step by step
-        alone = series[..., 0].std(axis=1).mean() / np.sqrt(400)
-        assert across[1:].std() < 2.0 * alone
-        assert abs(np.corrcoef(average[:-1], average[1:])[0, 1]) < 4 / np.sqrt(400)
-
-
 # -- the whole run -----------------------------------------------------------------------------
 
 
@@ -230,16 +217,6 @@ def test_a_walker_on_a_needle_is_stuck() -> None:
     )
     assert bool(fit.shortfall[1] & Shortfall.STUCK)
     assert not np.any(fit.shortfall[[0, 2]] & Shortfall.STUCK)
-
-
-def test_a_run_short_against_its_autocorrelation_time_is_reported() -> None:
-    def banana(x: Array) -> Array:
-        return -0.5 * x[..., 0] ** 2 - 0.5 * ((x[..., 1] - 2 * x[..., 0] ** 2) / 0.3) ** 2
-
-    u = np.random.default_rng(22).normal(size=(20, 4, 8, 2))
-    start = np.stack([u[..., 0], 2 * u[..., 0] ** 2 + 0.3 * u[..., 1]], axis=-1)
-    fit = sample_stacked(banana, start, seed=23, max_steps=1500, precision=0.03)
-    assert np.all(fit.shortfall & Shortfall.SHORT)
 
 
 def test_emcee_takes_a_start_outside_the_support_and_this_does_not() -> None:
