@@ -1,7 +1,7 @@
 """The tree: cells over an observer's coordinates, from coarse to fine, the same for all readings.
 
 Cells are evaluated once, when a reading first needs them, and kept with the observer. A reading
-walks from the coarse cells to fine ones, many readings together. It keeps a cell if it could come
+descends from the coarse cells to fine ones, many readings together. It keeps a cell if it could come
 from it, were it as uncertain as the signals vary across the cell, and halves the axes along which
 the signals change by more than a step of the trapezoidal rule may. The last cells are an even
 lattice for that reading, and its integrals are plain sums over them: in coordinates without edges
@@ -21,8 +21,8 @@ import numpy as np
 
 from .._util.values import Array, Index
 from ..receptors import ReceptorNoise
+from .descent import Descent
 from .observer import Evaluated
-from .walk import Walk
 from .weighted import Sums
 
 #: Step of the first cells, in the observer's coordinates; a sixteenth of it with one unknown. At
@@ -36,8 +36,8 @@ MEMORY = 1_000_000_000
 
 #: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
 PAIRS = 150_000
-#: Most walks of a reading some of whose cells turn out to have been left out too early.
-WALKS = 3
+#: Most descents of a reading some of whose cells turn out to have been left out too early.
+DESCENTS = 3
 
 
 class TreeObserver(Protocol):
@@ -149,7 +149,7 @@ class Level:
         return first
 
 
-class Rows:
+class Layout:
     """The rows of a level's data: what pairs of a reading and a cell ask for."""
 
     def __init__(self, unknowns: int, gaussian: int, features: int, signals: int) -> None:
@@ -208,7 +208,7 @@ class Tree:
         self.scores, self.smooth = scores, self.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
-        self.rows = Rows(self.unknowns, self.size, self.features, signals if self.others else 0)
+        self.rows = Layout(self.unknowns, self.size, self.features, signals if self.others else 0)
 
     def _features(self, at: Evaluated) -> tuple[Array, Array]:
         """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
@@ -381,7 +381,7 @@ class Tree:
 
         With the covariances (B, R, R) of measurement errors, which add to the receptors' noise;
         cells whose density is `drop` nats below the highest are left out. A reading some of whose
-        cells were left out too early walks again, three times in all at most; with `least` (B,)
+        cells were left out too early descends again, three times in all at most; with `least` (B,)
         none does, and those whose ln of the density is nowhere above that have no sums.
         """
         out = Sums.of(len(readings), self.unknowns, self.observer)
@@ -395,11 +395,11 @@ class Tree:
                 self.forget()
             rows = np.arange(begin, min(begin + size, len(readings)))
             deeper = np.full(len(rows), drop)
-            for _ in range(WALKS if least is None else 1):
+            for _ in range(DESCENTS if least is None else 1):
                 own = None if covariance is None else covariance[rows]
-                walk = Walk(self, readings[rows], own, rows, deeper, out)
-                walk.run(np.full(len(rows), -np.inf) if least is None else least[rows])
-                missed = walk.missed(drop)
+                descent = Descent(self, readings[rows], own, rows, deeper, out)
+                descent.run(np.full(len(rows), -np.inf) if least is None else least[rows])
+                missed = descent.missed(drop)
                 rows, deeper = rows[missed > 0], (deeper + missed + 1)[missed > 0]
                 if not rows.size:
                     break
@@ -416,10 +416,10 @@ class Tree:
         for begin in range(0, len(readings) if count else 0, size):
             rows = np.arange(begin, min(begin + size, len(readings)))
             own = None if covariance is None else covariance[rows]
-            walk = Walk(self, readings[rows], own, rows, np.zeros(len(rows)), None)
-            task = walk.first()
-            log = walk.log(task.level, task.row, task.cell, blurred=True)
-            out[rows] = log.reshape(len(rows), count).max(axis=1) + walk.log_slope
+            descent = Descent(self, readings[rows], own, rows, np.zeros(len(rows)), None)
+            task = descent.first()
+            log = descent.log(task.level, task.row, task.cell, blurred=True)
+            out[rows] = log.reshape(len(rows), count).max(axis=1) + descent.log_slope
         return out
 
 

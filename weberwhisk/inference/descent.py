@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MOST, DEEPEST = 300_000, 22
 
 
-class Task(NamedTuple):
+class Pairs(NamedTuple):
     """Pairs of readings and cells of one level, sorted by reading; whether it is their last."""
 
     level: Level
@@ -25,7 +25,7 @@ class Task(NamedTuple):
     last: bool
 
 
-class Walk:
+class Descent:
     """One chunk of readings on their way from the coarse cells to their lattices."""
 
     def __init__(
@@ -52,11 +52,11 @@ class Walk:
         gap[known] = self.left_out[known] - self.highest[known] + drop
         return np.maximum(gap, 0.0)
 
-    def first(self) -> Task:
+    def first(self) -> Pairs:
         """All readings beside all coarse cells."""
         start, n = self.tree.start, len(self.rows_out)
         row, cell = np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n)
-        return Task(start, row, cell, False)
+        return Pairs(start, row, cell, False)
 
     def run(self, least: Array) -> None:
         """From the coarse cells on, but for readings whose density is nowhere above `least`."""
@@ -150,7 +150,9 @@ class Walk:
         square += (change[:, tree.size : -1] ** 2).sum(axis=1)
         return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
 
-    def _halve(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Task]:
+    def _halve(
+        self, level: Level, row: Index, cell: Index, log: Array, depth: Array
+    ) -> list[Pairs]:
         """Halve cells along the axes that are too long; where none is, they are the last."""
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
@@ -172,12 +174,12 @@ class Walk:
     def _tasks(
         self, level: Level, row: Index, cell: Index, counts: Index, wide: Flags, stay: Flags,
         done: Flags,
-    ) -> list[Task]:  # fmt: skip
+    ) -> list[Pairs]:  # fmt: skip
         """What comes next of rows: those that stay as they are, and by pattern those halved."""
         tasks = []
         if stay.any():
             some = np.repeat(stay, counts)
-            tasks.append(Task(level, row[some], cell[some], True))
+            tasks.append(Pairs(level, row[some], cell[some], True))
         kinds = np.vstack([wide, done])[:, ~stay]
         for kind in np.unique(kinds, axis=1).T:
             own = ~stay & (np.vstack([wide, done]) == kind[:, None]).all(axis=0)
@@ -186,10 +188,10 @@ class Walk:
             child, split = self.tree._split(level, pattern, cell[some])
             parts = 2 ** sum(pattern)
             cells = (split[:, None] + np.arange(parts)).ravel()
-            tasks.append(Task(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
+            tasks.append(Pairs(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
         return tasks
 
-    def _sum(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Task]:
+    def _sum(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Pairs]:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
