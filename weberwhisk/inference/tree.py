@@ -1,9 +1,9 @@
 """The tree: cells over an observer's coordinates, from coarse to fine, the same for all readings.
 
 Cells are evaluated once, when a reading first needs them, and kept with the observer. A reading
-descends from the coarse cells to fine ones, many readings together. It keeps a cell if it could come
-from it, were it as uncertain as the signals vary across the cell, and halves the axes along which
-the signals change by more than a step of the trapezoidal rule may. The last cells are an even
+descends from the coarse cells to fine ones, many readings together. It keeps a cell if it could
+come from it, were it as uncertain as the signals vary across the cell, and halves the axes along
+which the signals change by more than a step of the trapezoidal rule may. The last cells are an even
 lattice for that reading, and its integrals are plain sums over them: in coordinates without edges
 the trapezoidal rule converges as fast as it does for a Gaussian, with an error of
 exp(−2π²/h²) at steps of h sds (Trefethen & Weideman 2014, SIAM Review 56, 385).
