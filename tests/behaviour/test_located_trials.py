@@ -194,25 +194,6 @@ def test_touches_are_joined_combined_and_missed() -> None:
     assert np.sqrt(1 / shrunk.iloc[0]) == pytest.approx(0.7e-3, rel=0.05)
 
 
-def test_thousands_of_trials_are_binned_without_moving_the_likelihood() -> None:
-    nominal = ww.simulate_trials(
-        standards=[15e-3, 20e-3], encoding=ENCODING, trials_per_level=100, seed=1
-    )
-    trials, located = simulate_moving(
-        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.5e-3, seed=2
-    )
-    located["sd_mm"] = np.random.default_rng(3).uniform(0.2, 1.0, len(located))
-    placed = with_distances(trials, located, ENCODING)
-    model, _, _ = build_model(placed, ENCODING, None, None, "weber", None)
-    fewer = model.merged()
-    assert fewer.cells.n.size <= 1000 < model.cells.n.size == 1800
-    k, none = np.geomspace(0.05, 0.2, 9), np.full(9, 0.02)
-    whole, part = (m.log_likelihood(k, none, none, np.full((9, 1), 0.2)) for m in (model, fewer))
-    np.testing.assert_allclose(part - part.max(), whole - whole.max(), atol=0.25)
-    # 0.06 nats a step, where half of one costs 1.7: the estimate moves by 0.03 of its sd.
-    assert abs((part[4] - part[2]) - (whole[4] - whole[2])) < 0.15
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -113,21 +113,6 @@ def test_looks_that_cannot_be_pooled_are_refused(looks, says: str) -> None:
         PooledEncoding(looks)
 
 
-def test_a_pole_on_a_rail_is_told_by_the_array_as_its_posteriors_say() -> None:
-    """The predicted sd along the line against the spread of the array's own estimates."""
-    array = ww.WhiskerArray("rat", "right").protract(np.radians(40)).only(["C2", "C3", "D3"])
-    few = {"noise": ww.receptors.Weber(0.02), "angle_sd": np.radians(0.05)}
-    observer = ww.ArrayObserver(array, **few)
-    line = {"length": 8e-3, "weber_fraction": 0.02}
-    encoding = PlaceEncoding(observer, (16e-3, 5e-3), **line, sideways_known=False)
-    at = np.array([18e-3, 5e-3])
-    told = [ww.place(observer, observer.read(at, seed)).mean[0] for seed in range(25)]
-    predicted = 0.02 * float(encoding.sd_per_weber_fraction(2e-3))
-    assert np.std(told) == pytest.approx(predicted, rel=0.35)
-    known = PlaceEncoding(observer, (16e-3, 5e-3), **line)
-    assert known.sd_per_weber_fraction(2e-3) < encoding.sd_per_weber_fraction(2e-3)
-
-
 @pytest.fixture(scope="module")
 def looks() -> tuple[Hypothesis, Hypothesis]:
     """One whisker, or a shorter one beside it."""

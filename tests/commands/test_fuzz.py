@@ -189,26 +189,6 @@ def test_a_file_of_another_format_is_refused(tmp_path: Path, suffix: str, conten
         read_trials(path)
 
 
-@pytest.mark.parametrize(
-    "quoted", ["bytes b'\\xff\x00\x1b[2J'", "a builder of " + "groups " * 90, ""]
-)
-def test_what_a_library_says_of_a_broken_file_stays_short(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quoted: str
-) -> None:
-    """openpyxl quoted a kilobyte of the file, pynwb a tree of all its groups."""
-
-    def broken(*_: object, **__: object) -> None:
-        raise RuntimeError(quoted)
-
-    monkeypatch.setattr(pd, "read_excel", broken)
-    path = tmp_path / "trials.xlsx"
-    path.write_bytes(b"PK")
-    with pytest.raises(ValueError, match="not readable as a table") as refusal:
-        read_trials(path)
-    assert refused_by_us(refusal.value)
-    assert len(str(refusal.value)) < 100
-
-
 @pytest.mark.parametrize("at", [12, 20, 40, 60])
 def test_a_corrupt_archive_is_one_sentence_of_the_command(tmp_path: Path, at: int) -> None:
     """With a whisker the header is read first, and zlib's own error came through."""

@@ -490,17 +490,6 @@ def test_expected_jnds_are_the_papers(plan: Plan) -> None:
         assert (own["jnd_mm"] < own["upper_mm"]).all()
 
 
-def test_expected_shares_hold_95_percent_of_animals(plan: Plan) -> None:
-    """The bars of the page, by simulation: counts fall inside in 95 % or a little more."""
-    rng = np.random.default_rng(1)
-    levels = plan.levels
-    counts = (
-        rng.binomial(levels["n"], levels["expected"], (4000, len(levels))) / levels["n"].to_numpy()
-    )
-    inside = (counts >= levels["lower"].to_numpy()) & (counts <= levels["upper"].to_numpy())
-    assert (inside.mean(axis=0) > 0.94).all()
-
-
 # -- the page and the folder ---------------------------------------------------------------------
 
 
