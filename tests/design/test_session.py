@@ -171,7 +171,7 @@ def test_the_command_killed_outright_goes_on(tmp_path: Path) -> None:
         (["next", "--standard", "20", "--goal", "taper"], "--goal taper tells a tapered whisker"),
         (["next", "--standard", "20", "--goal", "best"], "--goal 'best' is unknown"),
         ([*OPTIONS, "--farthest", "15"], "standard 20 is left without comparisons on both sides"),
-        ([*OPTIONS, "--easy-share", "2"], "easy_share must lie between 0 and 1"),
+        ([*OPTIONS, "--easy-share", "2"], "--easy-share must lie between 0 and 1"),
         ([*OPTIONS, "--bias", "some"], "bias 'some' is unknown"),
     ],
 )

@@ -19,7 +19,7 @@ from scipy.io import savemat
 import weberwhisk as ww
 from weberwhisk.behaviour import methods_paragraph
 from weberwhisk.cli import app, run_app
-from weberwhisk.commands.experiments import in_words, rig_trials
+from weberwhisk.commands.experiments import rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.session import bpod_table, psychopy_tables
 
@@ -111,7 +111,13 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
         assert value < -10
         assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
     assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "analysis.txt").read_text("utf-8").startswith(plan.title)
+    report = (tmp_path / "out" / "analysis.txt").read_text("utf-8")
+    assert report.startswith(plan.title)
+    assert "with an answer of 1 animal, analysed as planned" in report
+    assert "Best: tapered, by a Bayes factor of" in report
+    assert not re.search(r"10\^|e\+|\(\w+_\w+\)|1 animals", report)
+    assert "lapse_low ~ beta" in (tmp_path / "out" / "analysis_methods.txt").read_text("utf-8")
+    assert (tmp_path / "out" / "analysis.svg").stat().st_size > 5_000
 
 
 def test_a_table_without_an_answer_is_refused(
@@ -144,11 +150,12 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
     given = trials.frame["count"]
     assert given[given.notna()].tolist() == (answer - 1)[given.notna().to_numpy()].tolist()
     found = plan.analyse(trials, unit=1e-3)
-    words = in_words(found, trials, plan)
+    words = found.report()
     assert "1 trials have no answer" in words
     assert "planned 10" in words
     precise = replace(plan, goal=Goal(half_width=0.2), power=None)
-    assert "the planned" not in in_words(found, trials, precise)  # of Bayes factors there was none
+    precisely = precise.analyse(trials, unit=1e-3).report()
+    assert "the planned 10" not in precisely  # of Bayes factors there was none
     rest.assign(response=answer - 1).to_csv(second, index=False)  # 0 and 1: which is which?
     with pytest.raises(ValueError, match=r"'0' is no answer that is known; write left, 1 where"):
         rig_trials([first, second])

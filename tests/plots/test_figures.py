@@ -224,7 +224,9 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         {"radial_distance_mm": at,
          "moment_rate": observer().read(at[:, None] / 1e3, seed=1)[:, 0]}
     )  # fmt: skip
+    answers, _ = ww.simulate_population(2, standards=[0.015, 0.025], trials_per_level=6, seed=1)
     return {
+        "analysed": design.analyse(answers, hypotheses).plot(),
         "bending": plots.bending(lines),
         "calibrated": plots.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": plots.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,14 +14,14 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.campaign import all_cores
-from .._util.output import Run, atomic_write, versions_in_words
+from .._util.output import Run, atomic_write
 from .._util.values import counted, pd
 from ..cli import numbers
 
 if TYPE_CHECKING:
-    from ..design import AnalysisResult, Constraints, Plan
+    from ..design import Constraints, Plan
 
-__all__ = ["analyse", "design", "in_words", "rehearse", "rig_trials"]
+__all__ = ["analyse", "design", "rehearse", "rig_trials"]
 
 #: Levels of `plan_experiment`, as numbers of the command line.
 _WIDE = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
@@ -34,11 +35,16 @@ def design(
     task: Annotated[
         opt.Text, "2AFC, 2IFC, yes/no or go/no-go (at a pole).  [default: 2AFC]"
     ] = None,
+    question: Annotated[
+        opt.Text,
+        "What is to be found: whiskers (tapered or cylinder), weber-law (or constant noise) or "
+        "precision (of k).  [a terminal asks; else whiskers]",
+    ] = None,
     bayes_factor: Annotated[
-        opt.Number, "Goal: tapered whisker or cylinder, distinguished by so much.  [default: 10]"
+        opt.Number, "Goal: hypotheses discriminated by so much.  [default: 10]"
     ] = None,
     half_width: Annotated[
-        opt.Number, "Goal instead: the 95 % interval of k, 0.2 for ±20 %."
+        opt.Number, "Goal of a precision: the 95 % interval of k, 0.2 for ±20 %."
     ] = None,
     share: Annotated[float, "Of experiments that reach the goal."] = 0.8,
     standard_mm: Annotated[
@@ -91,11 +97,14 @@ def design(
     if cue is not None or deflection_angle_deg:
         felt, angles = opt.the_cue(cue, deflection_angle_deg)
         encoded = {"cue": felt, "deflection_angle": opt.one_angle(angles)}
+    if (question, bayes_factor, half_width) == (None, None, None) and not as_json:
+        question = inputs["question"] = _asked()
     if bayes_factor is None and half_width is None:
-        bayes_factor = 10.0
+        bayes_factor, half_width = (None, 0.2) if question == "precision" else (10.0, None)
     with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
+            question=question,
             goal=Goal(bayes_factor, half_width, share),
             standards=standards * 1e-3 if standards.size else None,
             levels=checks.finite("--level", levels, "write -1,1, say"),
@@ -129,6 +138,24 @@ def design(
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
+
+
+def _asked() -> str | None:
+    """The question, from whoever sits at the terminal; None where nobody does."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+    import typer
+
+    ways = {
+        "1": ("whiskers", "whether the whisker is sensed as tapered or as a cylinder"),
+        "2": ("weber-law", "whether noise grows with the signal (Weber's law) or is constant"),
+        "3": ("precision", "the Weber fraction k, within ±20 %"),
+    }
+    lines = (f"  {key}  {what} (--question {name})" for key, (name, what) in ways.items())
+    print("What is the experiment to find?", *lines, sep="\n", file=sys.stderr)
+    answer = typer.prompt("1, 2 or 3", default="1", err=True)
+    checks.one_of("the answer", answer, ways)
+    return ways[answer][0]
 
 
 def _constraints(
@@ -254,10 +281,12 @@ def analyse(
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
     with Run(out, "analyse", inputs) as run:
         found = plan.analyse(trials, unit=1e-3)
-        words = in_words(found, trials, plan)
+        words = found.report()
         run.table("analysis", found.estimates)
         if run.out_dir is not None:
             atomic_write(run.path("analysis.txt"), words)
+            atomic_write(run.path("analysis_methods.txt"), found.methods())
+            run.figure("analysis", ww.plots.analysed(found))
     answer = {
         "log_evidence": found.log_evidence, "favoured": found.favoured(),
         "left_out": found.left_out, "rows": found.estimates.to_dict("records"),
@@ -314,30 +343,3 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             "where the second, and nothing for no answer."
         )
     return table.assign(choice=given.map(codes))
-
-
-def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> str:
-    """What the planned analysis finds."""
-    lines = [
-        f"{plan.title}. {trials.n_trials} trials with an answer of {max(len(trials.subjects), 1)} "
-        f"animals, analysed as planned; {plan.scheme.total_trials} were planned.",
-        *trials.notes,
-    ]
-    for row in found.estimates.to_dict("records"):
-        lines.append(
-            f"{row['hypothesis']}, {row['subject']}: k = {row['weber_fraction']:.3g}, 95 % between "
-            f"{row['lower']:.3g} and {row['upper']:.3g} ({row['status'].lower()})."
-        )
-    if found.left_out:
-        lines.append(f"Left out, as planned: {', '.join(found.left_out)}.")
-    if len(found.log_evidence) > 1:
-        best = max(found.log_evidence, key=lambda name: found.log_evidence[name])
-        size = found.log_bayes_factor(best) / np.log(10)
-        words = f"Best: {best}, by a Bayes factor of 10^{size:.2f}"
-        need = plan.goal.bayes_factor
-        if need is not None:
-            verdict = "meets" if size > np.log10(need) else "does not meet"
-            words += f", which {verdict} the planned {need:g}"
-        lines.append(f"{words}.")
-    lines.append(f"Software: {versions_in_words('numpy', 'scipy')}.")
-    return "\n".join(lines) + "\n"

@@ -28,7 +28,7 @@ from ..cues.protocol import Cue
 from ..inference.observer import Observer
 from ..whisker import Whisker
 from .best import best_scheme
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, noises, taper
 from .plan import Plan
 from .plan_file import plan_json
 from .power_analysis import power, smallest, wilson
@@ -36,12 +36,16 @@ from .scheme import Constraints, Scheme, sized
 
 #: Comparisons of every standard, in sds: the widest are easy.
 WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
+#: Standards, in shares of what can be encoded.
+SPREAD_OUT = np.array([0.3, 0.6, 0.9])
 NEITHER = "undecided"
+QUESTIONS = ("whiskers", "weber-law", "precision")
 
 
 def plan_experiment(
     whisker: Whisker | str = "C2",
     *,
+    question: str | None = None,
     goal: Goal | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
     cue: Cue | None = None,
@@ -72,13 +76,17 @@ def plan_experiment(
     ----------
     whisker : Whisker or str
         The whisker, or its identity.
+    question : {"whiskers", "weber-law", "precision"}, optional
+        What the experiment is to find: whether distance is sensed through the tapered whisker or a
+        cylinder, whether noise grows with the signal (Weber's law) or is constant, or k to a
+        precision. By default what the goal is about: "precision" for an interval, else "whiskers".
     goal : Goal, optional
-        By default a Bayes factor above 10 in 80 % of experiments.
+        By default a Bayes factor above 10, or for a precision a 95 % interval of k within ±20 %, in
+        80 % of experiments.
     hypotheses : sequence of Hypothesis, optional
-        As they will be fitted, the expected one first. By default the tapered whisker against the
-        cylinder, or for a goal about the interval of k the tapered whisker alone.
+        As they will be fitted, the expected one first, in place of a question.
     cue, deflection_angle : Cue and float, optional
-        How distance is encoded where the goal is the interval of k; the light tap by default.
+        How distance is encoded, but for the question of whiskers; the light tap by default.
     task : str, optional
         Of hypotheses that are not given: "2AFC" by default, or "go/no-go", say, at a single pole.
     scheme : Scheme, optional
@@ -133,7 +141,10 @@ def plan_experiment(
     10.0
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
-    aim, likely = goal or Goal(bayes_factor=10.0), expected or SubjectPopulation()
+    if question is not None:
+        checks.one_of("question", question, QUESTIONS)
+    usual = Goal(half_width=0.2) if question == "precision" else Goal(bayes_factor=10.0)
+    aim, likely = goal or usual, expected or SubjectPopulation()
     limits = constraints or Constraints(step=10e-6)
     for name, value, kind in (
         ("goal", aim, Goal), ("expected", likely, SubjectPopulation),
@@ -150,7 +161,21 @@ def plan_experiment(
             f"A scheme has its animals, got {scheme.animals} and animals={animals}; write "
             f"scheme.with_animals({animals})."
         )
-    given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle, task)
+    asked = question or ("whiskers" if aim.half_width is None else "precision")
+    if (asked == "precision") != (aim.half_width is not None):
+        raise ValueError(
+            f"The question {asked!r} is not answered by {aim}; write Goal(half_width=0.2) for a "
+            "precision, Goal(bayes_factor=10) for the others."
+        )
+    if hypotheses is None:
+        given = _hypotheses(shape, asked, cue, deflection_angle, task, standards)
+    elif (question, cue, deflection_angle, task) == (None, None, None, None):
+        given = hypotheses
+    else:
+        raise ValueError(
+            "Hypotheses have their question, cues and task, got hypotheses and one of these; leave "
+            "one out."
+        )
     wanted = _what_to_find(find, trials is not None or scheme is not None)
     own: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
@@ -165,7 +190,7 @@ def plan_experiment(
         scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
-        at = np.array([0.3, 0.6, 0.9]) * encoding.domain[1] if standards is None else standards
+        at = SPREAD_OUT * encoding.domain[1] if standards is None else standards
         scheme = Scheme.spaced(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
@@ -215,21 +240,14 @@ def _what_to_find(find: str | None, decided: bool) -> str:
 
 def _hypotheses(
     whisker: Whisker,
-    goal: Goal,
-    hypotheses: Sequence[Hypothesis] | None,
+    question: str,
     cue: Cue | None,
     deflection_angle: float | None,
     task: str | None,
+    standards: ArrayLike | None,
 ) -> Sequence[Hypothesis]:
-    if hypotheses is not None:
-        if (cue, deflection_angle, task) != (None, None, None):
-            raise ValueError(
-                "Hypotheses have their cues and task, got hypotheses and a cue, deflection_angle "
-                "or task; leave one out."
-            )
-        return hypotheses
     task = task or "2AFC"
-    if goal.bayes_factor is not None:
+    if question == "whiskers":
         if cue is not None and not (isinstance(cue, Compliance) and cue.tap_angle == 0):
             raise ValueError(
                 f"Taper is tested by the compliance cue at the lightest tap, got {cue!r}; leave "
@@ -241,8 +259,11 @@ def _hypotheses(
                 f"{deflection_angle!r}; leave it out."
             )
         return taper(whisker, task=task)
-    observer = Observer(whisker, cue or Compliance())
-    return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle), task=task)]
+    encoding = CueEncoding(Observer(whisker, cue or Compliance()), deflection_angle)
+    if question == "weber-law":
+        at = SPREAD_OUT * encoding.domain[1] if standards is None else standards
+        return noises(encoding, at, task=task)
+    return [Hypothesis("expected observer", encoding, task=task)]
 
 
 @dataclass(frozen=True, repr=False)

@@ -17,12 +17,14 @@ import pandas as pd
 from scipy.stats import binom
 
 from .._util import checks
-from .._util.output import csv_text
-from .._util.values import Array, Shown, counted
+from .._util.output import csv_text, versions_in_words
+from .._util.values import Array, Shown, counted, interval_text, paragraphs
 from ..behaviour.fit import WeberFit
+from ..behaviour.methods import methods_paragraph
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
+from ..behaviour.verdict import FitStatus
 from ..sensitivity import criterion_factor
 from .hypotheses import (
     ONE_STIMULUS,
@@ -39,9 +41,11 @@ from .hypotheses import (
 from .scheme import Constraints, Scheme, millimetres
 from .session import sessions_needed, trial_lists
 
+__all__ = ["AnalysisResult", "Plan", "analyse"]
 
-@dataclass(frozen=True)
-class AnalysisResult:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AnalysisResult(Shown):
     """What the planned analysis finds in a table of trials.
 
     Parameters
@@ -55,11 +59,20 @@ class AnalysisResult:
     left_out : tuple of str
         Animals whose answers speak for no hypothesis: under one or another the fit found them
         reversed, one-sided or none. They are not in the evidence, nor in the population.
+    trials : Trials
+    fits : sequence of WeberFit or PopulationFit
+        One for each row of `estimates`.
+    plan : Plan, optional
+        Where the analysis is a plan's.
     """
 
-    estimates: pd.DataFrame = field(repr=False)
+    _figure: ClassVar[str] = "analysed"
+    estimates: pd.DataFrame
     log_evidence: dict[str, float]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...]
+    trials: Trials
+    fits: Sequence[WeberFit | PopulationFit]
+    plan: Plan | None = None
 
     def log_bayes_factor(self, hypothesis: str) -> float:
         """Natural log of the Bayes factor for a hypothesis against the best of the others.
@@ -79,6 +92,66 @@ class AnalysisResult:
         """The estimates under one hypothesis."""
         rows = self.estimates["hypothesis"] == hypothesis
         return self.estimates[rows].reset_index(drop=True)
+
+    def _line(self) -> str:
+        return f"{' '.join(self._conclusion())} {counted(self.trials.n_trials, 'trial')}"
+
+    def _table(self) -> pd.DataFrame:
+        return self.estimates
+
+    def report(self) -> str:
+        """What was found, in plain words, a paragraph for each heading."""
+        plan, trials = self.plan, self.trials
+        animals = counted(max(len(trials.subjects), 1), "animal")
+        data = f"{counted(trials.n_trials, 'trial')} with an answer of {animals}"
+        if plan is not None:
+            data += f", analysed as planned; {plan.scheme.total_trials} were planned"
+        found = []
+        for row in self.estimates.to_dict("records"):
+            k = interval_text(row["weber_fraction"], row["lower"], row["upper"])
+            said = FitStatus[row["status"]].message
+            found.append(f"{row['hypothesis']}, {row['subject']}: k = {k}; {said}.")
+        if self.left_out:
+            found.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
+        parts = {
+            "Data": [f"{data}.", *trials.notes],
+            "Weber fraction": found,
+            "Conclusion": self._conclusion(),
+            "Software": [f"{versions_in_words('numpy', 'scipy')}."],
+        }
+        title = "" if plan is None else f"{plan.title}\n\n"
+        return title + paragraphs({head: said for head, said in parts.items() if said})
+
+    def _conclusion(self) -> list[str]:
+        goal = None if self.plan is None else self.plan.goal
+        if len(self.log_evidence) > 1:
+            best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
+            log_factor = self.log_bayes_factor(best)
+            factor = "more than 100000"
+            if log_factor < np.log(1e5):
+                factor = f"{float(f'{np.exp(log_factor):.3g}'):g}"
+            words = f"Best: {best}, by a Bayes factor of {factor}"
+            if goal is not None and goal.bayes_factor is not None:
+                met = log_factor > np.log(goal.bayes_factor)
+                verdict = "meets" if met else "does not meet"
+                words += f", which {verdict} the planned {goal.bayes_factor:g}"
+            return [f"{words}."]
+        if goal is None or goal.half_width is None:
+            return []
+        half = (self.estimates["upper"] - self.estimates["lower"]) / 2
+        width = half / self.estimates["weber_fraction"]
+        met = int((width < goal.half_width).sum())
+        return [
+            f"The 95 % interval of k is within the planned ±{100 * goal.half_width:g} % in {met} "
+            f"of {counted(len(width), 'fit')}."
+        ]
+
+    def methods(self) -> str:
+        """What was done, for a methods section: a paragraph for each hypothesis."""
+        firsts = self.estimates.reset_index().groupby("hypothesis", sort=False)["index"].first()
+        return paragraphs(
+            {str(name): [methods_paragraph(self.fits[at])] for name, at in firsts.items()}
+        )
 
 
 def analyse(
@@ -128,19 +201,21 @@ def analyse(
 
 def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     rows: list[dict[str, Any]] = []
+    every: list[WeberFit] = []
     evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
     left_out = []
     for subject in trials.subjects or ["s1"]:
         own = trials.select(subject=subject) if trials.subjects else trials
         fits = [h.fit(own) for h in hypotheses]
         rows += [_row(h, str(subject), fit) for h, fit in zip(hypotheses, fits, strict=True)]
+        every += fits
         if any(fit.status in LEFT_OUT for fit in fits):
             left_out.append(str(subject))
             continue
         for h, fit in zip(hypotheses, fits, strict=True):
             evidence[h.name].append(fit.log_evidence)
     total = {name: float(np.sum(np.array(values, float))) for name, values in evidence.items()}
-    return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out))
+    return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out), trials, every)
 
 
 def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
@@ -162,7 +237,9 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
             fits[h.name] = fit_population(trials.select(subject=kept), **options_of(h))
     rows = [_row(h, "population", fits[h.name]) for h in hypotheses]
     evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
-    return AnalysisResult(pd.DataFrame(rows), evidence, tuple(left_out))
+    return AnalysisResult(
+        pd.DataFrame(rows), evidence, tuple(left_out), trials, list(fits.values())
+    )
 
 
 def _row(hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit) -> dict[str, Any]:
@@ -352,7 +429,8 @@ class Plan(Shown):
                 f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned; check "
                 "their unit: trial lists have mm, in columns called stimulus_1_mm and the like."
             )
-        return analyse(trials, self.hypotheses, together=self.together, unit=unit)
+        found = analyse(trials, self.hypotheses, together=self.together, unit=unit)
+        return replace(found, plan=self)
 
     def _line(self) -> str:
         scheme = self.scheme

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -14,8 +15,9 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
 from scipy.stats import norm
 
-from .._util import campaign, checks
+from .._util import campaign, checks, output
 from .._util.values import Array, Shown, interval_text
+from .bounds import refuse_impossible
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Scheme, sized
@@ -212,9 +214,10 @@ def smallest(
 ) -> Smallest:
     """The fewest trials, or animals, that reach a goal, whichever hypothesis is true.
 
-    The size is doubled or halved until the goal lies between two, then the bracket is halved until
-    it is within 5 %. A probit regression of all runs visited on the log of the size gives the size
-    and its Monte Carlo error; fresh runs give the power there.
+    A goal that the spread of the animals or the information of a trial puts out of reach is refused
+    before anything is simulated. The size is doubled or halved until the goal lies between two,
+    then the bracket is halved until it is within 5 %. A probit regression of all runs visited on
+    the log of the size gives the size and its Monte Carlo error; fresh runs give the power there.
 
     Parameters
     ----------
@@ -224,8 +227,9 @@ def smallest(
     most : int, optional
         Where the search ends: 1000 trials of a comparison, or 200 animals.
     runs : int
-        Experiments of each size and truth visited. With several animals 96 of them settle a size
-        whose power is clearly above or below the goal's share (99 %).
+        Experiments of each size and truth visited, and twice as many of the size found. With
+        several animals 96 of them settle a size whose power is clearly above or below the goal's
+        share (99 %), and there are fewer where they would have more than 8192 animals.
     seed : int
     **options
         As for `power`.
@@ -248,40 +252,53 @@ def smallest(
     checks.one_of("vary", vary, MOST)
     given, aim = check_goal(hypotheses, goal)
     end = MOST[vary] if most is None else checks.whole("most", most, "write 100, say")
+    likely = options.get("expected") or SubjectPopulation()
+    refuse_impossible(scheme, given, aim, likely, vary, end, options.get("together", True))
     visited: dict[int, Power] = {}
+    start = min(max(map(max, scheme.trials)) if vary == "trials" else scheme.animals, end)
+    # Sizes at most: to where the goal lies between two, to a twentieth of it, and twice in the end.
+    sizes = np.ceil(np.log2(max(end / start, start))) + 7
 
     def visit(own: Scheme, runs: int, *seeds: int) -> Power:
-        title = f"power, {own.animals} × {max(map(max, own.trials))} trials"
         root = np.random.SeedSequence([seed, *seeds])
-        return power(own, given, goal=aim, runs=runs, seed=root, **({"title": title} | options))
+        count = len(_chunks(own, "", runs)) * len(options.get("truths") or given)
+        how = options | {"progress": lambda done: told(done / count)}
+        return power(own, given, goal=aim, runs=runs, seed=root, **how)
+
+    def enough(animals: int) -> int:
+        return runs if animals == 1 else min(runs, max(96, 8192 // animals))
 
     def reached(size: int) -> bool:
         if size not in visited:
             own = sized(scheme, vary, size)
-            # Where the goal is far, few runs of several animals settle a size: others cost minutes.
-            few = runs if own.animals == 1 else min(96, runs)
+            # Where the goal is far, few runs of several animals settle a size.
+            whole = enough(own.animals)
+            few = whole if own.animals == 1 else min(96, whole)
             found = visit(own, few, size)
-            if few < runs and not _clear(found):
-                found = _joined([found, visit(own, runs - few, size, 1)])
+            if few < whole and not _clear(found):
+                found = _joined([found, visit(own, whole - few, size, 1)])
             visited[size] = found
         return bool(visited[size].table["power"].min() >= aim.share)
 
-    start = max(map(max, scheme.trials)) if vary == "trials" else scheme.animals
-    low, high = 0, min(start, end)
-    while not reached(high):
-        if high == end:
-            raise ValueError(_out_of_reach(visited[end], vary, end))
-        low, high = high, min(2 * high, end)
-    while low == 0 and high > 1:
-        half = high // 2
-        low, high = (low, half) if reached(half) else (half, high)
-    while high - low > max(1, 0.05 * high):
-        middle = (low + high) // 2
-        low, high = (low, middle) if reached(middle) else (middle, high)
-    path = _joined(list(visited.values()))
-    size, error = _crossing(path, vary, aim.share, low, high)
-    scheme = sized(scheme, vary, int(np.ceil(size)))
-    return Smallest(scheme, vary, size, error, visit(scheme, 2 * runs, 0), path)
+    own_way = options.get("progress")
+    bar = nullcontext(own_way) if own_way else output.shown("Smallest design", float(sizes))
+    with bar as told:
+        low, high = 0, start
+        while not reached(high):
+            if high == end:
+                raise ValueError(_out_of_reach(visited[end], vary, end))
+            low, high = high, min(2 * high, end)
+        while low == 0 and high > 1:
+            half = high // 2
+            low, high = (low, half) if reached(half) else (half, high)
+        while high - low > max(1, 0.05 * high):
+            middle = (low + high) // 2
+            low, high = (low, middle) if reached(middle) else (middle, high)
+        path = _joined(list(visited.values()))
+        size, error = _crossing(path, vary, aim.share, low, high)
+        scheme = sized(scheme, vary, int(np.ceil(size)))
+        last = 2 * runs if scheme.animals == 1 else enough(scheme.animals)
+        return Smallest(scheme, vary, size, error, visit(scheme, last, 0), path)
 
 
 def _clear(found: Power, sure: float = 0.99) -> bool:

@@ -15,6 +15,7 @@ from .contacts import (
     posteriors,
 )
 from .designs import (
+    analysed,
     information_map,
     placements,
     planned_jnds,
@@ -41,6 +42,7 @@ __all__ = [
     "LINES",
     "MARKERS",
     "SINGLE",
+    "analysed",
     "bending",
     "calibrated",
     "comparison",

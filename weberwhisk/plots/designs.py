@@ -29,7 +29,7 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    from ..design import Plan, TrialLog
+    from ..design import AnalysisResult, Plan, TrialLog
     from ..design.experiment import SimulatedStudy
     from ..design.power_analysis import Power
 
@@ -260,6 +260,31 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
         what = "log$_{10}$ Bayes factor for the truth"
         ax.axvline(-limit, **edge, linestyle=":", label="the wrong way")
     ax.set(xlabel=what, ylabel="Share of experiments", ylim=(0, 1))
+    return legend_above(ax)
+
+
+@styled
+def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
+    """The Weber fraction of every animal, or of all together, under each hypothesis.
+
+    Bars are 95 % intervals.
+
+    Parameters
+    ----------
+    result : AnalysisResult
+    ax : Axes, optional
+    """
+    ax = axes_or_new(ax)
+    subjects = list(dict.fromkeys(result.estimates["subject"]))
+    middle = (len(result.log_evidence) - 1) / 2
+    for i, name in enumerate(result.log_evidence):
+        own = result.of(name)
+        ends = (own[column] for column in ("weber_fraction", "lower", "upper"))
+        at = [subjects.index(s) + 0.15 * (i - middle) for s in own["subject"]]
+        bars(ax, at, ends, i, label=f"{drawable(name)}, 95 %")
+    ax.set_xticks(range(len(subjects)), [drawable(str(s)) for s in subjects])
+    ax.set(xlabel="Animal", ylabel="Weber fraction k", xlim=(-0.6, len(subjects) - 0.4))
+    ax.set_yscale("log")
     return legend_above(ax)
 
 
