@@ -22,7 +22,7 @@ import weberwhisk as ww
 from weberwhisk import plots
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.design import Goal, SubjectPopulation
-from weberwhisk.design.words import preregistration
+from weberwhisk.design.plan_file import preregistration
 from weberwhisk.recordings.files import load_table
 
 Fields = dict[str, str]

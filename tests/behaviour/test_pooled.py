@@ -15,8 +15,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.encodings import Encoding
 from weberwhisk.design import Goal, Hypothesis, Plan, Scheme
-from weberwhisk.design.plan_file import _reader, plain
-from weberwhisk.design.words import preregistration
+from weberwhisk.design.plan_file import _reader, plain, preregistration
 from weberwhisk.sensitivity import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)

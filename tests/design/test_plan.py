@@ -41,9 +41,8 @@ from weberwhisk.design import (
     taper,
     trial_lists,
 )
-from weberwhisk.design.plan_file import _reader, plain, plan_of
+from weberwhisk.design.plan_file import _reader, plain, plan_of, preregistration
 from weberwhisk.design.session import bpod_table, psychopy_tables
-from weberwhisk.design.words import preregistration
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
 OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]

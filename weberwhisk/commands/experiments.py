@@ -187,7 +187,7 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
 
 
 def _summary(plan: Plan) -> str:
-    from ..design.words import assumptions, offsets_in_words
+    from ..design.plan_file import assumptions, offsets_in_words
 
     scheme = plan.scheme
     lines = [

@@ -31,6 +31,8 @@ from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Constraints, Scheme, easy_share
 
+__all__ = ["Best", "Precision", "best_scheme"]
+
 
 @dataclass(frozen=True)
 class Best:

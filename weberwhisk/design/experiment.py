@@ -19,8 +19,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import campaign, checks
-from .._util.values import Shown, counted, interval_text
-from ..behaviour.encodings import CueEncoding
+from .._util.values import Array, Shown, counted, interval_text
+from ..behaviour.encodings import CueEncoding, Encoding
 from ..behaviour.simulate import simulate_responses
 from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
@@ -34,10 +34,10 @@ from .plan_file import plan_json
 from .power_analysis import power, smallest, wilson
 from .scheme import Constraints, Scheme, sized
 
+__all__ = ["SimulatedStudy", "plan_experiment", "simulate_study"]
+
 #: Comparisons of every standard, in sds: the widest are easy.
 WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
-#: Standards, in shares of what can be encoded.
-SPREAD_OUT = np.array([0.3, 0.6, 0.9])
 NEITHER = "undecided"
 QUESTIONS = ("whiskers", "weber-law", "precision")
 
@@ -190,7 +190,7 @@ def plan_experiment(
         scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
-        at = SPREAD_OUT * encoding.domain[1] if standards is None else standards
+        at = _spread_out(encoding) if standards is None else standards
         scheme = Scheme.spaced(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
@@ -221,6 +221,11 @@ def plan_experiment(
         known = any(h.priors.is_fixed("weber_fraction") for h in given)
         together = scheme.animals > 1 and not known
     return Plan(scheme, **own, together=together, power=table)
+
+
+def _spread_out(encoding: Encoding) -> Array:
+    """Standards over the range that can be encoded."""
+    return np.array([0.3, 0.6, 0.9]) * encoding.domain[1]
 
 
 def _what_to_find(find: str | None, decided: bool) -> str:
@@ -261,7 +266,7 @@ def _hypotheses(
         return taper(whisker, task=task)
     encoding = CueEncoding(Observer(whisker, cue or Compliance()), deflection_angle)
     if question == "weber-law":
-        at = SPREAD_OUT * encoding.domain[1] if standards is None else standards
+        at = _spread_out(encoding) if standards is None else standards
         return noises(encoding, at, task=task)
     return [Hypothesis("expected observer", encoding, task=task)]
 

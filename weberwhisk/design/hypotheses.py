@@ -31,6 +31,8 @@ from ..inference.observer import Observer
 from ..whisker import Whisker
 from .scheme import Scheme
 
+__all__ = ["Goal", "Hypothesis", "SubjectPopulation", "cues", "noises", "taper", "with_priors"]
+
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 

@@ -29,6 +29,8 @@ from .belief import Belief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
 
+__all__ = ["BayesianPlacer", "Proposal", "Staircase", "TrialLog", "next_trial"]
+
 GOALS = ("weber_fraction", "hypothesis", "everything")
 
 

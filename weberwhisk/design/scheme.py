@@ -26,6 +26,8 @@ from ..behaviour.psychometric import difference_sd
 from ..behaviour.tasks import task_named
 from ..behaviour.trials import Cells
 
+__all__ = ["Constraints", "Scheme", "easy_share", "lattice", "millimetres", "sized"]
+
 #: Trials of one experiment at most: what is listed must fit the memory.
 MOST_TRIALS = 10_000_000
 #: Levels of a default design, in sds of the expected difference between the two signals.
@@ -322,23 +324,20 @@ def lattice(
     constraints: Constraints | None = None,
     *,
     each_side: int = 16,
-    smallest: float = 0.01,
-    largest: float = 1.2,
 ) -> Scheme:
     """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
 
     Parameters
     ----------
     encoding : Encoding
-        Says how large an offset is: offsets are multiples of the sd of the difference between two
-        encodings that an animal with k = 1 would have (`difference_sd`).
+        Says how large an offset is: from 0.01 to 1.2 times the sd of the difference between two
+        encodings that an animal with k = 1 would have (`difference_sd`), about twice the least and
+        the greatest k that may be met.
     standards : array_like
     constraints : Constraints, optional
         What falls outside the range is left out, the rest put on the nearest step.
     each_side : int
         Comparisons on either side, at most.
-    smallest, largest : float
-        Offsets, in those sds: about twice the least and the greatest k that may be met.
 
     Raises
     ------
@@ -348,8 +347,8 @@ def lattice(
     Examples
     --------
     >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
-    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
+    >>> lattice(IdentityEncoding(), 2.0, each_side=2).comparisons
+    ((1.97172, 2.02828, 5.39411),)
     """
     checked_encoding(encoding)
     low, high = encoding.domain
@@ -359,7 +358,7 @@ def lattice(
     given = np.atleast_1d(checks.finite("standards", standards, "give one or several"))
     at = np.unique(limits.positions(given))
     refuse_out_of_reach(encoding, at, "standard")
-    ratios = np.geomspace(smallest, largest, each_side)
+    ratios = np.geomspace(0.01, 1.2, each_side)
     rows = []
     for s in at:
         steps = ratios * float(difference_sd(encoding, s))

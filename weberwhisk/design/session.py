@@ -36,6 +36,8 @@ from ..behaviour.trials import Cells
 from .placement import BayesianPlacer, Proposal, TrialLog
 from .scheme import Scheme, millimetres
 
+__all__ = ["Session", "bpod_table", "converse", "psychopy_tables", "sessions_needed", "trial_lists"]
+
 Counts = Index  # what NumPy counts with: 32 bits in a browser
 
 

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text
-from ..design.plan_file import plan_json
+from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
 from ..design.session import bpod_table, psychopy_tables
-from ..design.words import assumptions, offsets_in_words, preregistration
 from .designs import planned_jnds, planned_power, planned_psychometrics
 from .style import DOUBLE, figure_of, new_figure, styled
 
