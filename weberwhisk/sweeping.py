@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
-from ._util.values import Array, Codes, Flags, Index
+from ._util.values import Array, Codes, Fields, Flags, Index
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .inference import Observer
@@ -38,13 +38,15 @@ from .mechanics.shape import Profile
 from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
+__all__ = ["SweepFilter", "Track", "follow"]
+
 #: Share of objects that are walls; where in question with more than this probability, and beyond
 #: this share of the largest θ_d, they are `AT_LIMIT`.
 TIP_SHARE, MOST_AT_LIMIT, NEAR_LIMIT = 0.2, 0.25, 0.95
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Fields):
     """Where a contact was along a sweep, as far as moment and push angle tell.
 
     Attributes

@@ -43,7 +43,7 @@ class _Identity(NamedTuple):
     shape: tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Whisker(Value):
     """A linearly tapered (or cylindrical) whisker, in SI units.
 

@@ -7,7 +7,7 @@ import math
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from enum import IntEnum
 from html import escape
 from importlib import import_module
@@ -17,11 +17,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded", "counted",
+    "in_short", "interval_text", "member", "paragraphs", "pd", "with_units",
+]  # fmt: skip
+
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Codes = NDArray[np.int8]  # members of an enumeration: outcomes, statuses, models
 Index = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
 Seed = int | np.random.SeedSequence | np.random.Generator | None
+
+
+#: Characters of the longest text that an object prints as.
+LONGEST = 300
 
 
 class _WhenUsed:
@@ -42,7 +51,76 @@ else:
     pd = _WhenUsed("pandas")
 
 
-class Value:
+class Fields:
+    """Base of dataclasses (``repr=False``) that print as the call that makes them, in short.
+
+    Fields at their defaults are left out but those of `_told`; numbers have six digits.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(repr=False)
+    ... class Place(Fields):
+    ...     at: Any
+    ...     size: float = 1.0
+    >>> Place(0.1 + 0.2), Place(np.arange(9.0), size=2)
+    (Place(0.3), Place([0, 1, 2, 3, 4, 5, …], 2))
+    """
+
+    _told: ClassVar[tuple[str, ...]] = ()
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        text = _as_call(self, self._told)
+        return text if len(text) <= LONGEST else f"{text[: LONGEST - 2]}…)"
+
+
+def _as_call(made: Any, told: tuple[str, ...] = ()) -> str:
+    """The call that makes a dataclass."""
+    parts, in_order = [], True
+    taken = signature(type(made)).parameters
+    for f in fields(made):
+        value, how = getattr(made, f.name), taken.get(f.name, f)
+        if not f.repr or (f.name not in told and _same(value, how.default)):
+            in_order = False
+            continue
+        in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY
+        parts.append(in_short(value) if in_order else f"{f.name}={in_short(value)}")
+    return f"{type(made).__name__}({', '.join(parts)})"
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Whether a field has its default."""
+    plain = isinstance(default, int | float | str | tuple | list)
+    return value is default or (plain and bool(_plain(value) == _plain(default)))
+
+
+def in_short(value: Any) -> str:
+    """A value in a line: numbers with six digits, the first of many, laws by their names."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{k!r}: {in_short(v)}' for k, v in value.items())}}}"
+    if is_dataclass(value) and not isinstance(value, type | Fields | Line):
+        return _as_call(value)
+    if hasattr(value, "_asdict"):
+        items = ", ".join(f"{k}={in_short(v)}" for k, v in value._asdict().items())
+        return f"{type(value).__name__}({items})"
+    if type(value) in (list, tuple):
+        first = [*map(in_short, value[:6]), *["…"] * (len(value) > 6)]
+        text = ", ".join(first) + "," * (len(value) == 1 and isinstance(value, tuple))
+        return f"[{text}]" if isinstance(value, list) else f"({text})"
+    if hasattr(value, "dist") and hasattr(value, "kwds"):  # SciPy's
+        given = [*map(in_short, value.args), *(f"{k}={in_short(v)}" for k, v in value.kwds.items())]
+        return f"{value.dist.name}({', '.join(given)})"
+    if hasattr(value, "iloc"):
+        return f"<table of {len(value)} rows>"
+    return getattr(value, "__qualname__", None) or repr(value)
+
+
+class Value(Fields):
     """Base of frozen dataclasses (``eq=False, repr=False``) whose fields may be arrays.
 
     One that takes more than it holds, a list for an array, has an ``__init__`` of its own.
@@ -60,7 +138,7 @@ class Value:
     ...     def __post_init__(self):
     ...         self._set(at=np.asarray(self.at, dtype=float))
     >>> Place([1, 2]), Place([1, 2]) == Place([1.0, 2.0]), Place(1) == Place(2)
-    (Place([1.0, 2.0]), True, False)
+    (Place([1, 2]), True, False)
     """
 
     _known_key: tuple[Any, ...]
@@ -95,19 +173,6 @@ class Value:
     def __hash__(self) -> int:
         return hash((type(self), self._key))
 
-    def __repr__(self) -> str:
-        parts = []
-        in_order = True
-        taken = signature(type(self)).parameters
-        for f in fields(self):  # type: ignore[arg-type]
-            value, how = getattr(self, f.name), taken.get(f.name, f)
-            if not f.repr or _plain(value) == _plain(how.default):
-                in_order = False
-                continue
-            in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY
-            parts.append(_text(value) if in_order else f"{f.name}={_text(value)}")
-        return f"{type(self).__name__}({', '.join(parts)})"
-
 
 def _plain(value: Any) -> Any:
     """What a field's value is compared by."""
@@ -119,27 +184,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _text(value: Any) -> str:
-    """A field's value in a sentence."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return repr(value)
-
-
 # -- results --------------------------------------------------------------------------------------
 
 
-class Shown:
-    """Base of results that show themselves.
-
-    A result says what it found in `_line` and has its numbers in `_table`; `_figure` names the
-    function of `weberwhisk.plots` that draws it. Those stand above all results, so that the
-    package is asked for them, and no result imports a figure.
-    """
-
-    _figure: ClassVar[str]
+class Line:
+    """Base of results that say what they found, in `_line`, and have their numbers in `_table`."""
 
     def _line(self) -> str:
         """The estimate, its interval and its status."""
@@ -151,7 +200,8 @@ class Shown:
         return cast("pd.DataFrame | None", found)
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self._line()}>"
+        text = f"<{type(self).__name__}: {self._line()}>"
+        return text if len(text) <= LONGEST else f"{text[: LONGEST - 2]}…>"
 
     def _repr_html_(self) -> str:
         table = self._table()
@@ -159,6 +209,16 @@ class Shown:
         if table is None:
             return line
         return line + table.to_html(max_rows=12, float_format="{:.4g}".format, na_rep="–")
+
+
+class Shown(Line):
+    """Base of results that also draw themselves.
+
+    `_figure` names the function of `weberwhisk.plots` that does. Those stand above all results, so
+    that the package is asked for them, and no result imports a figure.
+    """
+
+    _figure: ClassVar[str]
 
     def plot(self, ax: Axes | None = None, **options: object) -> Figure:
         """Draw it with its function of `weberwhisk.plots`; see there for further options.

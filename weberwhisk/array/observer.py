@@ -26,7 +26,7 @@ from .._util.checks import (
     positive_number,
     shown,
 )
-from .._util.values import Array
+from .._util.values import Array, Fields
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
 from ..receptors import ReceptorNoise, Seed
@@ -37,8 +37,8 @@ Readings = Mapping[str, Any]
 _RADIANS = "give radians, such as 0.02"
 
 
-@dataclass(frozen=True, eq=False)
-class ArrayObserver:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArrayObserver(Fields):
     """An ideal observer of the place of one vertical pole, through all whiskers of an array.
 
     Parameters

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.values import Array, Codes
+from .._util.values import Array, Codes, Fields
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
 from ..mechanics.contact import Outcome
@@ -24,8 +24,8 @@ from ..receptors import ReceptorNoise
 from ..sensitivity import weber_propagation
 
 
-@dataclass(frozen=True)
-class CueEncoding:
+@dataclass(frozen=True, repr=False)
+class CueEncoding(Fields):
     """A radial distance encoded through a whisker and a cue, with any receptor noise.
 
     One signal (the compliance cue): the two noisy signals are the decision variables, exactly; of
@@ -247,8 +247,8 @@ class PlaceItself:
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class PooledEncoding(PlaceItself):
+@dataclass(frozen=True, repr=False)
+class PooledEncoding(PlaceItself, Fields):
     """One distance from several independent looks, pooled by their precision.
 
     Parameters

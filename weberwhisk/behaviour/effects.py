@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
 
@@ -67,8 +67,8 @@ NORMAL = {sd: stats.norm(0.0, sd) for sd in (0.3, 0.5)}
 _RHO = stats.beta(1.0, 15.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Drift(Effect):
+@dataclass(frozen=True, eq=False, repr=False)
+class Drift(Effect, Fields):
     """A learning animal: ln k changes by `drift` from the first session to the last.
 
     Linear in the number of the session in its row. The Weber fraction is that in the middle of the
@@ -95,8 +95,8 @@ class Drift(Effect):
         return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
 
 
-@dataclass(frozen=True, eq=False)
-class Floor(Effect):
+@dataclass(frozen=True, eq=False, repr=False)
+class Floor(Effect, Fields):
     """Noise that is left where the signal vanishes: sd² = (kI)² + floor² (generalised Weber).
 
     `floor` is in the unit of the signal. Its prior is log-normal: median 3 % of the table's typical
@@ -139,8 +139,8 @@ def _typical(encodings: UnitEncodings, what: str) -> float:
     return float(np.exp(np.mean(np.log(means))))
 
 
-@dataclass(frozen=True, eq=False)
-class Overdispersion(Effect):
+@dataclass(frozen=True, eq=False, repr=False)
+class Overdispersion(Effect, Fields):
     """Answers that scatter more than a coin's: beta-binomial, with intraclass correlation ρ.
 
     The probability of each pair of stimuli in each session is itself drawn from a beta distribution
@@ -155,8 +155,8 @@ class Overdispersion(Effect):
         return None if not trials.sessions else sessions_of(trials, "")[1].astype(float)
 
 
-@dataclass(frozen=True, eq=False)
-class Contraction(Effect):
+@dataclass(frozen=True, eq=False, repr=False)
+class Contraction(Effect, Fields):
     """The first signal drawn towards the mean of all stimuli: m₁ → m₁ + contraction · (M − m₁).
 
     Contraction bias (Ashourian & Loewenstein 2011; Akrami et al. 2018): a remembered signal drifts
@@ -181,8 +181,8 @@ class Contraction(Effect):
         return signals._replace(mean_1=signals.mean_1 + value * (self.centre - signals.mean_1))
 
 
-@dataclass(frozen=True, eq=False)
-class History(Effect):
+@dataclass(frozen=True, eq=False, repr=False)
+class History(Effect, Fields):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a

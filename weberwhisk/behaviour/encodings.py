@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Fields, Flags, Index
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
@@ -46,8 +46,8 @@ class Encoding(Protocol):
         """Noise sd of the signal at each stimulus, for a Weber fraction of 1."""
 
 
-@dataclass(frozen=True)
-class IdentityEncoding:
+@dataclass(frozen=True, repr=False)
+class IdentityEncoding(Fields):
     """The magnitude itself, with sd = k × magnitude (Weber noise); any unit, all above zero.
 
     Examples
@@ -66,8 +66,8 @@ class IdentityEncoding:
         return np.asarray(stimulus, dtype=float)
 
 
-@dataclass(frozen=True)
-class LogEncoding:
+@dataclass(frozen=True, repr=False)
+class LogEncoding(Fields):
     """A stimulus given by its logarithm: the signal is its magnitude, exp(log_unit × column).
 
     Its sd is k × magnitude; `LogAxisEncoding` has the logarithm itself for a signal, with one sd.
@@ -99,8 +99,8 @@ class LogEncoding:
         return self.mean(stimulus)
 
 
-@dataclass(frozen=True)
-class LogAxisEncoding(LogEncoding):
+@dataclass(frozen=True, repr=False)
+class LogAxisEncoding(LogEncoding, Fields):
     """The logarithm itself, with one sd everywhere: the textbook equal-variance form.
 
     With `log_unit = 1` the Weber fraction is counted *per unit of the column*: the choice left when
@@ -119,8 +119,8 @@ class LogAxisEncoding(LogEncoding):
         return np.ones_like(np.asarray(stimulus, dtype=float))
 
 
-@dataclass(frozen=True)
-class PlaceEncoding(PlaceItself):
+@dataclass(frozen=True, repr=False)
+class PlaceEncoding(PlaceItself, Fields):
     """A pole that slides along a line, sensed by all whiskers of an array that touch it.
 
     Parameters

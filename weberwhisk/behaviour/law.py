@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from .._util.threads import one_blas_thread
-from .._util.values import Array
+from .._util.values import Array, Line
 from .axes import lapse_prior, score_prior
 from .estimates import Estimates, check_fit
 from .integrate import PosteriorGrid, integrate
@@ -20,8 +20,8 @@ from .verdict import strength
 __all__ = ["WeberLawTest", "weber_law_test"]
 
 
-@dataclass(frozen=True)
-class WeberLawTest:
+@dataclass(frozen=True, repr=False)
+class WeberLawTest(Line):
     """The comparison of two observers with the same lapses and biases.
 
     `log_bayes_factor` is the natural log of the evidence for one shared Weber fraction over that
@@ -42,15 +42,21 @@ class WeberLawTest:
     log_bayes_factor: float
     by_standard: pd.DataFrame = field(repr=False)
 
-    def report(self) -> str:
-        """The verdict in words."""
+    def _table(self) -> pd.DataFrame:
+        return self.by_standard
+
+    def _line(self) -> str:
         size = strength(abs(self.log_bayes_factor))
         side = " for Weber's law" if self.log_bayes_factor > 0 else " against Weber's law"
         side = "" if size.startswith("no") else side
+        return f"log Bayes factor {self.log_bayes_factor:+.2f}, {size}{side}"
+
+    def report(self) -> str:
+        """The verdict in words."""
         return (
-            f"One Weber fraction for all standards against one for each: log Bayes factor "
-            f"{self.log_bayes_factor:+.2f}, {size}{side}. The alternative gives every "
-            "standard the wide prior of the fit, which favours the law when data are few."
+            f"One Weber fraction for all standards against one for each: {self._line()}. "
+            "The alternative gives every standard the wide prior of the fit, which favours "
+            "the law when data are few."
         )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
 from .._util import checks
-from .._util.values import Array, Index
+from .._util.values import Array, Fields, Index
 from .condensed import nodes_of
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
@@ -68,8 +68,8 @@ class Draws:
         return {name: columns[name] for name in model.names}
 
 
-@dataclass(frozen=True)
-class WeberModel:
+@dataclass(frozen=True, repr=False)
+class WeberModel(Fields):
     """One observer: k, effects and two lapses for all cells, one bias per group of cells.
 
     Given everything else, the biases of the groups are independent, which is what makes a bias per

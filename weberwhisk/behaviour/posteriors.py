@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from .._util.values import Array
+from .._util.values import Array, Fields
 from .axes import bias_at
 from .integrate import PosteriorGrid, density_of, log_marginal
 from .likelihood import Draws, WeberModel
@@ -66,8 +66,8 @@ def named_values(model: WeberModel, theta: Array) -> dict[str, float]:
     return {name: float(value[0]) for name, value in one.named(model).items()}
 
 
-@dataclass(frozen=True)
-class QuadraturePosterior:
+@dataclass(frozen=True, repr=False)
+class QuadraturePosterior(Fields):
     """The posterior integrated by quadrature; draws from it are independent and exact."""
 
     model: WeberModel
@@ -252,8 +252,8 @@ class QuadraturePosterior:
         return first.T, last.T
 
 
-@dataclass(frozen=True)
-class SampledPosterior:
+@dataclass(frozen=True, repr=False)
+class SampledPosterior(Fields):
     """Draws by emcee: `chains` independent ensembles one after another."""
 
     model: WeberModel

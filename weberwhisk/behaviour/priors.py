@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields
 from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
 from .tasks import SameDifferent, Task, YesNo
@@ -35,8 +35,8 @@ SPREAD = stats.halfnorm(scale=0.5)  # of ln k between animals
 _SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
 
 
-@dataclass(frozen=True, eq=False)
-class Priors:
+@dataclass(frozen=True, eq=False, repr=False)
+class Priors(Fields):
     """One frozen SciPy distribution per parameter, or a number where it is known.
 
     The defaults, and why:

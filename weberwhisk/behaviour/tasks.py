@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields
 from .encodings import Signals
 
 __all__ = [
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-class Task:
+class Task(Fields):
     """A question put to the observer; by default one normal variable exceeds another, or not.
 
     `name` is written in `task=`; `response` is the column that holds the answer, "choice" or
@@ -74,7 +74,7 @@ class Task:
         return lapse_low, lapse_high
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SignedChoice(Task):
     """Which of two is greater (farther): two noisy signals are compared, 2AFC or 2IFC.
 
@@ -100,7 +100,7 @@ class SignedChoice(Task):
         return (m2 - m1) / np.hypot(s1, s2) + shift, 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PercentCorrect(Task):
     """Which of m is the odd one, scored right or wrong against an unsigned difference.
 
@@ -153,7 +153,7 @@ class PercentCorrect(Task):
         return lapse_high / (self.alternatives - 1), lapse_high
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class YesNo(Task):
     """One stimulus, against a standard held in mind: "yes, greater", or go and no-go.
 
@@ -185,7 +185,7 @@ class YesNo(Task):
         return np.asarray(encoded.sd_2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SameDifferent(Task):
     """Are two stimuli the same or different? The differencing rule.
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.output import atomic_write, csv_text
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Flags, Index, Line
 from .tasks import Task
 
 SCALES = ("linear", "log")
@@ -47,8 +47,8 @@ class Cells:
         return Cells(*(a[keep] for a in some), *own)
 
 
-@dataclass(frozen=True)
-class Trials:
+@dataclass(frozen=True, repr=False)
+class Trials(Line):
     """Choices of one or more observers, checked.
 
     Parameters
@@ -113,13 +113,16 @@ class Trials:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __repr__(self) -> str:
+    def _table(self) -> pd.DataFrame:
+        return self.frame
+
+    def _line(self) -> str:
         who = f" of {len(self.subjects)} subjects" if len(self.subjects) > 1 else ""
         lost = f", {self.n_missing} without" if self.n_missing else ""
         notes = f"; {len(self.notes)} notes" if self.notes else ""
         return (
-            f"<Trials: {self.n_trials} with an answer{lost}, in {len(self)} rows{who}; "
-            f"{self.task.name}, {self.scale} scale, {self.source}{notes}>"
+            f"{self.n_trials} with an answer{lost}, in {len(self)} rows{who}; "
+            f"{self.task.name}, {self.scale} scale, {self.source}{notes}"
         )
 
     @property

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.threads import one_blas_thread
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Fields, Flags, Index
 from ..behaviour.axes import lapse_prior, score_prior
 from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import log_sum
@@ -34,8 +34,8 @@ from .scheme import Constraints, Scheme, easy_share
 __all__ = ["Best", "Precision", "best_scheme"]
 
 
-@dataclass(frozen=True)
-class Best:
+@dataclass(frozen=True, repr=False)
+class Best(Fields):
     """The best scheme found, and how it was.
 
     `table` has a row for every scheme that may be the best: `value`, what the goal's share of

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     ConstantNoise,
     CueEncoding,
@@ -36,8 +36,8 @@ __all__ = ["Goal", "Hypothesis", "SubjectPopulation", "cues", "noises", "taper",
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hypothesis(Fields):
     """An observer as it will be fitted: how it encodes stimuli, and its priors.
 
     Parameters
@@ -296,8 +296,8 @@ def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypot
     )
 
 
-@dataclass(frozen=True)
-class SubjectPopulation:
+@dataclass(frozen=True, repr=False)
+class SubjectPopulation(Fields):
     """What the animals are expected to be like.
 
     Parameters
@@ -337,8 +337,8 @@ class SubjectPopulation:
         return drawn
 
 
-@dataclass(frozen=True)
-class Goal:
+@dataclass(frozen=True, repr=False)
+class Goal(Fields):
     """What the experiment is to reach, and in what share of repetitions.
 
     Parameters

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.special import ndtri, softmax
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields, Line, counted
 from ..behaviour.encodings import LogEncoding
 from ..behaviour.estimates import tails
 from ..behaviour.fit import WeberFit, fit_weber
@@ -34,8 +34,8 @@ __all__ = ["BayesianPlacer", "Proposal", "Staircase", "TrialLog", "next_trial"]
 GOALS = ("weber_fraction", "hypothesis", "everything")
 
 
-@dataclass(frozen=True)
-class Proposal:
+@dataclass(frozen=True, repr=False)
+class Proposal(Fields):
     """The next trial.
 
     Parameters
@@ -58,7 +58,7 @@ class Proposal:
     information: float = float("nan")
 
 
-class TrialLog:
+class TrialLog(Line):
     """The trials so far, as a fit takes them; `BayesianPlacer` and `Staircase` choose the next."""
 
     most: int | None = None  # trials, after which there are enough
@@ -69,6 +69,10 @@ class TrialLog:
         self.scheme, self.seed = scheme, seed
         self._rows: list[tuple[float, float, float, float]] = []
         self._proposal: Proposal | None = None
+
+    def _line(self) -> str:
+        names = ", ".join(h.name for h in self.hypotheses)
+        return f"{counted(self.n_trials, 'trial')} with an answer; {names}"
 
     @property
     def n_trials(self) -> int:

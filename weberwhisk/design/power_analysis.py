@@ -16,7 +16,7 @@ from scipy.special import log_ndtr, ndtri
 from scipy.stats import norm
 
 from .._util import campaign, checks, output
-from .._util.values import Array, Shown, interval_text
+from .._util.values import Array, Fields, Shown, interval_text
 from .bounds import refuse_impossible
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
@@ -71,8 +71,8 @@ class Power(Shown):
         return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Smallest:
+@dataclass(frozen=True, repr=False)
+class Smallest(Fields):
     """The smallest design that reaches a goal.
 
     `scheme` has that size. `size`, with its Monte Carlo standard error `size_error`, is where the

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     Encoding,
     checked_encoding,
@@ -34,8 +34,8 @@ MOST_TRIALS = 10_000_000
 LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
 
 
-@dataclass(frozen=True, init=False)
-class Scheme:
+@dataclass(frozen=True, init=False, repr=False)
+class Scheme(Fields):
     """An experiment of constant stimuli: what each animal is shown, and how often.
 
     Parameters
@@ -215,8 +215,8 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
 
 
-@dataclass(frozen=True)
-class Constraints:
+@dataclass(frozen=True, repr=False)
+class Constraints(Fields):
     """What the rig and the animal allow.
 
     Parameters

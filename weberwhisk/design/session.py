@@ -31,7 +31,7 @@ import pandas as pd
 
 from .._util import checks
 from .._util.log import Log
-from .._util.values import Array, Index
+from .._util.values import Array, Index, Line
 from ..behaviour.trials import Cells
 from .placement import BayesianPlacer, Proposal, TrialLog
 from .scheme import Scheme, millimetres
@@ -292,7 +292,7 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
 KIND = "session"
 
 
-class Session:
+class Session(Line):
     """A placer whose trials are kept in a file, as a context manager.
 
     Parameters
@@ -335,6 +335,10 @@ class Session:
         self.placer = placer
         self._log = None if path is None else Log(path, KIND, question or {})
         self._open = ExitStack()
+
+    def _line(self) -> str:
+        where = "in memory" if self._log is None else f"in {str(self._log.path)!r}"
+        return f"{where}; {self.placer!r}"
 
     def __enter__(self) -> Self:
         if self._log is not None:

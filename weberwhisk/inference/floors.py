@@ -52,7 +52,7 @@ def default_noise(
     ...     w = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
     ...     print(default_noise(w, cues.ForceMap(), 0.05))
     Weber(0.05)
-    GeneralisedWeber(0.05, floor=[0.0, 7.6e-07])
+    GeneralisedWeber(0.05, floor=[0, 7.6e-07])
     """
     noise, size = cue.default_noise(), len(cue.signal_names)
     if weber_fraction is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, numbers, one_of, positive_number, shown
-from .._util.values import Array, Codes
+from .._util.values import Array, Codes, Fields
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
@@ -48,7 +48,7 @@ class _Filled(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Observer:
+class Observer(Fields):
     """An ideal observer of one contact. Frozen; `dataclasses.replace` makes one that differs.
 
     Parameters

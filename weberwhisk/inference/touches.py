@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from .._util import checks
 from .._util.checks import kind
-from .._util.values import Array, Index, interval_text
+from .._util.values import Array, Index, Line, interval_text
 from .observer import Observer
 from .one_distance import OneDistance, ReadingGroup, one_distance, quantiles_of, shared_unknowns
 from .quadrature import TOLERANCE
@@ -24,7 +24,7 @@ SHARED = "stiffness", "curvature_offset", "hinge_stiffness"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Touches:
+class Touches(Line):
     """The posterior of a radial distance from n touches; `touches` makes it.
 
     Attributes
@@ -54,11 +54,11 @@ class Touches:
     density: Array
     shared: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    def _line(self) -> str:
         low, high = self.interval()
         r = interval_text(1e3 * self.mean, 1e3 * low, 1e3 * high, " mm")
         said = f"r = {r}, of {self.count}", self.status.message, self.observer.note
-        return f"<Touches: {'; '.join(filter(None, said))}>"
+        return "; ".join(filter(None, said))
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
         """The equal-tailed interval that holds the distance with probability `mass`, m.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .. import domain
 from .._util.checks import finite
-from .._util.values import Array, Codes, Flags, Shown, Worded, member, pd
+from .._util.values import Array, Codes, Flags, Line, Shown, Worded, member, pd
 from ..whisker import Whisker
 
 __all__ = [
@@ -204,8 +204,8 @@ def bending(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class FlickPast:
+@dataclass(frozen=True, eq=False, repr=False)
+class FlickPast(Line):
     """How far a whisker can be pressed against an object at a given radial distance.
 
     Attributes
@@ -224,6 +224,14 @@ class FlickPast:
     ended_by: Outcome | Codes
     at_end: Bending
     at_moment_peak: Bending
+
+    def _line(self) -> str:
+        degrees = np.degrees(np.ravel(self.deflection_angle))
+        reasons = sorted({Outcome(o).message for o in np.ravel(self.ended_by)})
+        if not degrees.size:
+            return "no distances"
+        ends = dict.fromkeys(f"{a:.4g}°" for a in (np.nanmin(degrees), np.nanmax(degrees)))
+        return f"θ_d at most {' to '.join(ends)}; {'; '.join(reasons)}"
 
 
 def friction(friction_angle: ArrayLike) -> Array:

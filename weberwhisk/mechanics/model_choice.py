@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.checks import finite, positive
-from .._util.values import Array, Codes
+from .._util.values import Array, Codes, Line
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
 from .contact import Model, Outcome, friction
 from .equilibrium import common_shape
@@ -43,8 +43,8 @@ _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
 SIGNAL_UNIT = "of a signal"
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
+@dataclass(frozen=True, eq=False, repr=False)
+class Choice(Line):
     """The model that each scene needs, and why: what `choose_model` returns.
 
     Attributes
@@ -68,6 +68,12 @@ class Choice:
     bias: Array
     tolerance: ArrayLike
     unit: str = "JND"
+
+    def _line(self) -> str:
+        models, counts = np.unique(self.model, return_counts=True)
+        if np.ndim(self.model) == 0:
+            return str(self.why)
+        return ", ".join(f"{Model(m).title} for {n}" for m, n in zip(models, counts, strict=True))
 
     @property
     def why(self) -> str | NDArray[np.object_]:

@@ -21,15 +21,15 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
 from .._util.checks import finite, whole
-from .._util.values import Array
+from .._util.values import Array, Line
 from ..whisker import Whisker
 from .shape import Profile
 
 BASIS = 60
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Line):
     """The first modes of a whisker, lowest first.
 
     Attributes
@@ -47,6 +47,9 @@ class Modes:
     error: Array
     coefficients: Array
     profile: Profile
+
+    def _line(self) -> str:
+        return f"{', '.join(f'{f:.4g}' for f in self.frequency)} Hz"
 
     @property
     def frequency(self) -> Array:

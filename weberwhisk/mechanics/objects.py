@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, kind, number
-from .._util.values import Array, Flags, member
+from .._util.values import Array, Fields, Flags, member
 from ..whisker import Whisker
 from .contact import Bending, Outcome
 from .profile import bend
@@ -48,8 +48,8 @@ from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
 __all__ = ["Body", "Sweep", "cylinder", "peg", "sweep", "wall"]
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Fields):
     """One sweep of a whisker against an object.
 
     Attributes

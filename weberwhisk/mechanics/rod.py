@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, positive
-from .._util.values import Array, Codes, Flags, Index
+from .._util.values import Array, Codes, Fields, Flags, Index
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
 from .contact import TOLERANCE, Model, Outcome, friction
@@ -36,8 +36,8 @@ POISSON_RATIO = 0.38
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # of three components
 
 
-@dataclass(frozen=True, eq=False)
-class RodBending:
+@dataclass(frozen=True, eq=False, repr=False)
+class RodBending(Fields):
     """A whisker bent in space: six signals at the base, the contact and its outcome.
 
     Vectors have a last axis of 3, (x, y, z) in the base frame. NaN where there is no equilibrium.

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, positive
-from .._util.values import Array
+from .._util.values import Array, Fields
 from .beam import follow, pilot, rows_of
 from .contact import Outcome
 from .shape import Profile, bent_shape
 
 
-@dataclass(frozen=True, eq=False)
-class Body:
+@dataclass(frozen=True, eq=False, repr=False)
+class Body(Fields):
     """A circle of `radius` about one corner, m, or a wall through two: `corners` (1 or 2, 2)."""
 
     corners: Array

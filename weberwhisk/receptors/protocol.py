@@ -44,6 +44,7 @@ class ReceptorNoise(Value):
     Models are frozen: they compare and hash by value.
     """
 
+    _told: ClassVar[tuple[str, ...]] = ("weber_fraction",)
     #: Whether a reading is one of a few reports, of which the signals are the probabilities.
     is_categorical: ClassVar[bool] = False
     #: Whether a reading is of the signals themselves, so that a cue's own inverse can take it.

@@ -248,8 +248,7 @@ def locate(
         )
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     measured = "its measurement errors" if covariance is not None else ""
-    ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
-    law = f"{observer.noise!r}, k = {', '.join(f'{k:g}' for k in ks)}" if receptors else ""
+    law = f"{observer.noise!r}" if receptors else ""
     said = " and ".join(filter(None, [measured, law]))
     notes.append(
         f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
