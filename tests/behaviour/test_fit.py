@@ -28,8 +28,10 @@ from weberwhisk.behaviour import (
     response_probability,
     simulate_trials,
     task_named,
+    weber_law_test,
 )
 from weberwhisk.behaviour.encodings import IdentityEncoding
+from weberwhisk.behaviour.posteriors import prior_draws
 from weberwhisk.behaviour.psychometric import threshold
 
 ENDS = [0.025, 0.5, 0.975]
@@ -371,28 +373,19 @@ def test_lapse_sensitivity_is_what_the_other_priors_give() -> None:
     assert known.lapse_sensitivity["lapses"].tolist() == ["as fitted"]
 
 
-def test_prior_predictive_is_what_the_priors_say(fit: WeberFit) -> None:
-    """Half of all counts lie below one half: bias and lapses are even about it."""
-    table = fit.prior_predictive()
-    cells = fit.model.cells
-    assert len(table) == cells.n.size
-    np.testing.assert_array_equal(table["observed"], cells.count / cells.n)
-    # Nearly any proportion is believed possible, and rising levels give rising medians.
-    assert (table["upper"] - table["lower"] > 0.7).all()
-    assert table["inside"].all()
-    one = table[table["standard"] == 1.0]
-    assert one["median"].is_monotonic_increasing
-    # Drawn anew with SciPy alone, at equal stimuli.
+def test_draws_from_the_priors_are_what_the_priors_say(fit: WeberFit) -> None:
+    """Of equal stimuli, with SciPy alone: half of all counts lie below one half."""
     rng = np.random.default_rng(1)
+    found = fit.model.simulate(prior_draws(fit.model, 4000, rng), rng) / fit.model.cells.n
     z = rng.multivariate_normal([0, 0], [[1, 0.7], [0.7, 1]], 40_000).T
     low, high = stats.beta(0.7, 20).ppf(stats.norm.cdf(z))
     low, high = (side[low + high < 1] for side in (low, high))
     p = low + (1 - low - high) * stats.norm.cdf(rng.standard_normal(low.size))
     share = rng.binomial(40, p) / 40
-    equal = one[one["stimulus_2"] == 1.0].iloc[0]
-    assert equal["n"] == 40
-    found = equal[["lower", "median", "upper"]].to_numpy(float)
-    np.testing.assert_allclose(found, np.quantile(share, ENDS), atol=0.051)  # two counts of 40
+    cells = fit.model.cells
+    equal = np.flatnonzero((cells.stimulus_1 == cells.stimulus_2) & (cells.n == 40))[0]
+    ends = np.quantile(found[:, equal], ENDS)
+    np.testing.assert_allclose(ends, np.quantile(share, ENDS), atol=0.051)  # two counts of 40
 
 
 # -- Weber's law ----------------------------------------------------------------------------------
@@ -407,8 +400,8 @@ def test_weber_law_holds_where_it_does_and_fails_where_it_does_not(bias: str) ->
     def joined(*parts: Trials) -> Trials:
         return replace(parts[0], frame=pd.concat([p.frame for p in parts], ignore_index=True))
 
-    holds = fit_weber(joined(*same), bias=bias).weber_law_test()
-    fails = fit_weber(joined(same[0], other), bias=bias).weber_law_test()
+    holds = weber_law_test(fit_weber(joined(*same), bias=bias))
+    fails = weber_law_test(fit_weber(joined(same[0], other), bias=bias))
     assert holds.log_bayes_factor > 0
     assert fails.log_bayes_factor < -5
     assert "against Weber's law" in fails.report()
@@ -447,13 +440,13 @@ def test_weber_law_evidence_with_lapses_and_bias_by_brute_force(bias: str) -> No
         one = logsumexp(given[0] + given[1] + prior_k, axis=2)
         each_own = sum(logsumexp(a + prior_k, axis=2) for a in given)
     exact = logsumexp(one + prior_lapses) - logsumexp(each_own + prior_lapses)
-    test = fit_weber(trials, bias=bias).weber_law_test()
+    test = weber_law_test(fit_weber(trials, bias=bias))
     assert test.log_bayes_factor == pytest.approx(exact, abs=0.02)
 
 
 def test_weber_law_needs_two_standards() -> None:
     with pytest.raises(ValueError, match="two standards or more"):
-        fit_weber(simulate_trials(seed=24)).weber_law_test()
+        weber_law_test(fit_weber(simulate_trials(seed=24)))
 
 
 # -- trouble --------------------------------------------------------------------------------------

@@ -317,7 +317,7 @@ def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
 def test_missing_labels_are_refused() -> None:
     trials, _ = animals(2)
     lacking = Trials(trials.frame.drop(columns="subject"), trials.task)
-    with pytest.raises(ValueError, match="no column 'subject' to tell subjects apart"):
+    with pytest.raises(ValueError, match="no column 'subject' that names the subjects"):
         fit_population(lacking)
 
 

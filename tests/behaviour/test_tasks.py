@@ -132,7 +132,7 @@ def test_cue_encoding_knows_which_way_its_signal_goes() -> None:
 
 def test_a_cylinders_map_cannot_be_judged_by() -> None:
     encoding = CueEncoding(ww.Observer(CYLINDER, ww.cues.ForceMap()), deflection_angle=0.1)
-    with pytest.raises(ValueError, match="these signals cannot tell distance"):
+    with pytest.raises(ValueError, match="these signals do not determine distance"):
         refuse_unencoded(encoding, [0.02, 0.03])
 
 

@@ -2,7 +2,7 @@
 
 The outer coordinates are the normal scores of k and of any effects; given these, every data set has
 a window in each lapse and in the score of every group's bias. All start as wide as the prior. A
-pass takes the posterior to a power below 1, under which the narrowest bump is as wide as the steps,
+pass takes the posterior to a power below 1, under which the narrowest peak is as wide as the steps,
 so that none can lie between two nodes; what is far below the best node is dropped, and the next
 pass has a higher power and finer steps.
 """
@@ -21,6 +21,21 @@ from ..domain import FITTED_WEBER_FRACTIONS
 from .likelihood import WeberModel
 from .priors import REACH, Priors
 from .tasks import Task
+
+__all__ = [
+    "Steps",
+    "Windows",
+    "bias_at",
+    "everything",
+    "kept",
+    "lapse_prior",
+    "lapse_weights",
+    "least_bias_sds",
+    "least_sds",
+    "log_lapses_possible",
+    "outer_signals",
+    "score_prior",
+]
 
 
 def score_prior(axis: Array) -> Array:
@@ -100,7 +115,7 @@ class Steps:
     bias: float
 
     def at(self, power: float, factor: float = 1.0) -> Steps:
-        """The same for another power, so many times as wide beside its bumps."""
+        """The same for another power, so many times as wide beside its peaks."""
         by = factor * np.sqrt(self.power / power)
         return Steps(power, by * self.outer, by * self.lapse, by * self.bias)
 
@@ -267,7 +282,9 @@ def least_sds(model: WeberModel) -> Array:
     axes = [a if f else np.zeros(1) for a, f in zip(few, free, strict=True)]
     inside = axes[0][model.value(model.lead[0], axes[0]) >= FITTED_WEBER_FRACTIONS[0]]
     h, biases = 1e-3, bias_at(model, np.zeros(1))
-    if np.any(biases != 0):  # a criterion that lies to one side: elsewhere it may tell more
+    if np.any(
+        biases != 0
+    ):  # a criterion that lies to one side: elsewhere answers may inform it more
         biases = bias_at(model, np.linspace(-1.0, 1.0, 3))[:, None, None]
     for e in np.flatnonzero(free):
         sides = []

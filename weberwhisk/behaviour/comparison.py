@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from .._util import checks
 from .._util.arviz_io import pointwise_loo
 from .._util.values import Array, Index, Shown
-from .criticism import Rows
+from .criticism import Answers
 from .estimates import check_fit
 from .fit import WeberFit
 from .trials import SDS
@@ -101,7 +101,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
         check_fit(fit, f"the fit {name!r}")
     if len(fits) < 2:
         raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
-    rows = {name: Rows.of(fit) for name, fit in fits.items()}
+    rows = {name: Answers.of(fit) for name, fit in fits.items()}
     first, *others = rows.values()
     for name, other in zip(list(fits)[1:], others, strict=True):
         same = other.n.shape == first.n.shape and all(

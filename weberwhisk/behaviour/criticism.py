@@ -18,12 +18,11 @@ from scipy.special import bdtr, ndtri
 
 from .._util.checks import generator, one_of
 from .._util.values import Array, Index
-from .estimates import Estimates, check_fit
+from .estimates import Estimates, check_fit, compared
 from .likelihood import gather
-from .predictive import compared
 from .trials import STIMULI, in_order
 
-__all__ = ["Rows", "checks", "quantile_residuals", "residuals_by"]
+__all__ = ["Answers", "checks", "quantile_residuals", "residuals_by"]
 
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
@@ -49,7 +48,7 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     >>> residuals_by(fit, "session").columns.tolist()
     ['session', 'n', 'observed', 'expected', 'z']
     """
-    rows = Rows.of(fit)
+    rows = Answers.of(fit)
     if not columns:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
@@ -60,7 +59,7 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     )
     sums = table.groupby(list(columns), sort=True).sum().reset_index()
     n, count, mean, spread = sums[["n", "count", "mean", "spread"]].to_numpy(float).T
-    return sums[list(columns)].assign(**compared(n, count, mean, spread / n))
+    return sums[list(columns)].assign(**compared(n, count, mean, spread))
 
 
 def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
@@ -80,7 +79,7 @@ def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     >>> bool(abs(table["z"].mean()) < 0.5)
     True
     """
-    gathered, cell = Rows.of(fit).gathered()
+    gathered, cell = Answers.of(fit).gathered()
     p = _expected(fit)[:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
@@ -120,7 +119,7 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     >>> bool((table["p"] > 0.001).all())
     True
     """
-    rows = Rows.of(fit)
+    rows = Answers.of(fit)
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
@@ -147,7 +146,7 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class Rows:
+class Answers:
     """The rows of a table that have an answer, and the cell of the model that each belongs to."""
 
     frame: pd.DataFrame
@@ -156,7 +155,7 @@ class Rows:
     cell: Index
 
     @classmethod
-    def of(cls, fit: Estimates) -> Rows:
+    def of(cls, fit: Estimates) -> Answers:
         check_fit(fit)
         trials = fit.trials
         _, _, cell = gather(trials, fit.model.effects, fit.encoding)
@@ -165,7 +164,7 @@ class Rows:
         return cls(frame, n, count, cell)
 
     def gathered(self) -> tuple[pd.DataFrame, Index]:
-        """Rows of one pair of stimuli in one session together, and the cell of each."""
+        """Answers of one pair of stimuli in one session together, and the cell of each."""
         labels = [c for c in ("session", *STIMULI) if c in self.frame]
         table = self.frame[labels].assign(cell=self.cell, n=self.n, count=self.count)
         sums = table.groupby([*labels, "cell"], sort=True)[["n", "count"]].sum().reset_index()

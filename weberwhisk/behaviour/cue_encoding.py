@@ -23,6 +23,12 @@ from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise
 from ..sensitivity import weber_propagation
 
+__all__ = [
+    "CueEncoding",
+    "PlaceItself",
+    "PooledEncoding",
+]
+
 
 @dataclass(frozen=True, repr=False)
 class CueEncoding(Fields):
@@ -127,7 +133,7 @@ class CueEncoding(Fields):
 
     @property
     def has_weber_fraction(self) -> bool:
-        """Whether any noise goes with a Weber fraction, so that choices can tell it."""
+        """Whether any noise goes with a Weber fraction, which choices then inform."""
         return bool(self._fractions.any())
 
     @cached_property
@@ -163,7 +169,7 @@ class CueEncoding(Fields):
         """Noise carried to distance, in the stimulus's unit; NaN where signals leave it open."""
         observer = _with_noise(self.observer, noise)
         jnd = weber_propagation(observer, self._contact(stimulus)) / self.unit
-        # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
+        # Of signals that do not determine distance (a cylinder's map) there is none.
         return np.where(np.isfinite(jnd), jnd, np.nan)
 
     def floor_sd(self, stimulus: ArrayLike) -> Array:
@@ -185,7 +191,7 @@ class CueEncoding(Fields):
         if outcome == Outcome.HELD and self.observer.noise.uninformative(signals).any():
             return "the receptors are saturated there"
         if outcome == Outcome.HELD:
-            return "these signals cannot tell distance on this whisker"
+            return "these signals do not determine distance on this whisker"
         return outcome.message
 
     @property
@@ -229,13 +235,13 @@ def _varied(noise: ReceptorNoise, signals: int, factor: float, *, floor: bool) -
 
 
 class _Distance(CueEncoding):
-    """The distance that a cue tells, also where its one signal would do for a decision."""
+    """Distance itself, also where one signal would do for a decision."""
 
     _one_signal = False
 
 
 class PlaceItself:
-    """What is encoded is the place itself: a greater one as greater, NaN where nothing tells it."""
+    """The place itself is encoded: a greater one as greater, NaN where no signal informs it."""
 
     direction: ClassVar[int] = 1
 

@@ -20,6 +20,28 @@ from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 if TYPE_CHECKING:
     from ..array import ArrayObserver
 
+__all__ = [
+    "NOISES",
+    "ConstantNoise",
+    "Encoding",
+    "IdentityEncoding",
+    "LogAxisEncoding",
+    "LogEncoding",
+    "PlaceEncoding",
+    "Signals",
+    "UnitEncodings",
+    "checked_encoding",
+    "chosen_encoding",
+    "described",
+    "encoding_for",
+    "gives_signal",
+    "in_words",
+    "refuse_out_of_reach",
+    "refuse_outside",
+    "refuse_unencoded",
+    "unit_encodings",
+]
+
 
 NOISES = ("weber", "equal-variance")
 

@@ -12,24 +12,22 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.values import Array, Shown, interval_text
-from . import predictive
 from . import psychometric as curve
 from .effects import Effect
 from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
-from .predictive import predicted, prior_draws
-from .trials import Trials
+from .trials import STIMULI, Trials
 from .verdict import FitStatus, lapse_sensitivity
 
-__all__ = ["Estimates", "check_fit", "tails"]
+__all__ = ["Estimates", "check_fit", "compared", "tails"]
 
 
 @dataclass(frozen=True, repr=False)
 class Estimates(Shown):
     """The posterior of one observer given its trials.
 
-    `weber_fraction` is the posterior median. `status` says what the data could tell and travels
+    `weber_fraction` is the posterior median. `status` says what the data determine and travels
     with the numbers; `notes` are further sentences.
     """
 
@@ -259,23 +257,35 @@ class Estimates(Shown):
         return int(at[0])
 
     def residuals(self) -> pd.DataFrame:
-        """One row a pair of stimuli: observed, expected, and `z` in standard errors."""
-        return predictive.residuals(self.model, self.posterior.draws())
+        """Observed and expected proportions by pair of stimuli.
+
+        `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `expected` (posterior mean) and
+        `z`, their difference in binomial standard errors.
+        """
+        cells, draws = self.model.cells, self.posterior.draws().thinned(1000)
+        p = self.model.probability(*draws.values)[0].mean(axis=0)
+        labels = {name: getattr(cells, name) for name in STIMULI}
+        return pd.DataFrame(
+            labels | compared(cells.n, cells.count, cells.n * p, cells.n * p * (1 - p))
+        )
 
     @cached_property
     def misfit(self) -> float:
-        """Posterior-predictive p of the squared residuals: small where the data are missed."""
-        return predictive.misfit(self.model, self.posterior.draws())
+        """Posterior-predictive p of Σ (count − n P)²/(n P (1 − P)) over pairs of stimuli: the share
+        of draws whose own replicated data lie as far from the curve as the data do."""
+        cells = self.model.cells
+        if not cells.n.size:
+            return 1.0
+        draws = self.posterior.draws().thinned(1000)
+        p, q = self.model.probability(*draws.values)
+        again = self.model.simulate(draws, np.random.default_rng(0))
+        variance = cells.n * p * q
 
-    def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
-        """The data beside what the priors alone expect of these trials: a check on the priors."""
-        rng = checks.generator(seed)
-        return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
+        def distance(count: Array) -> Array:
+            square = (count - cells.n * p) ** 2
+            return np.divide(square, variance, out=np.zeros_like(p), where=variance > 0).sum(axis=1)
 
-    def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
-        """The data beside what the fitted observer would answer to these trials."""
-        draws = self.posterior.draws().thinned(2000)
-        return predicted(self.model, draws, checks.generator(seed))
+        return float(np.mean(distance(again) >= distance(cells.count)))
 
     @cached_property
     def lapse_sensitivity(self) -> pd.DataFrame:
@@ -306,3 +316,11 @@ def _quantiles(sample: Array, at: Array) -> Array:
     if np.isfinite(sample).all():
         return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
     return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
+
+
+def compared(n: Array, count: Array, mean: Array, variance: Array) -> dict[str, Array]:
+    """Counts of n trials beside their mean and variance, in proportions and standard errors."""
+    se, off = np.sqrt(variance), count - mean
+    # Where the model is certain and the data agree there is nothing off.
+    z = np.divide(off, se, out=np.zeros_like(off), where=se > 0)
+    return {"n": n.astype(int), "observed": count / n, "expected": mean / n, "z": z}

@@ -16,7 +16,6 @@ from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates
 from .integrate import integrate
-from .law import WeberLawTest, weber_law_test
 from .likelihood import build_model
 from .located import at_touches
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
@@ -31,7 +30,7 @@ METHODS = ("quadrature", "emcee")
 class WeberFit(Estimates):
     """The fit of one observer; everything in it comes from one posterior.
 
-    `weber_fraction` is the posterior median. `status` says what the data could tell and travels
+    `weber_fraction` is the posterior median. `status` says what the data determine and travels
     with the numbers; `notes` are further sentences; `report()` puts all of it in plain words.
 
     Examples
@@ -50,10 +49,6 @@ class WeberFit(Estimates):
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
         return report.report(self)
-
-    def weber_law_test(self) -> WeberLawTest:
-        """One Weber fraction for all standards, against one for each: a Bayes factor."""
-        return weber_law_test(self)
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""

@@ -61,14 +61,11 @@ class Population:
     log_evidence: float
     error: float
 
-    def nodes(self, parameter: str, finer: int = 5) -> tuple[Array, Array]:
-        """Values of "weber_fraction" or "spread" on finer nodes, and their probabilities, flat."""
-        density = self.mass / _end_weights(self.mass.shape)
-        mass = _finer(density, finer)
-        mass *= _end_weights(mass.shape)
-        mean, spread = _finer(self.mean, finer), _finer(self.spread, finer)
-        values = np.exp(mean) if parameter == "weber_fraction" else spread + 0.0 * mean
-        return values.ravel(), mass.ravel() / mass.sum()
+    def nodes(self, parameter: str) -> tuple[Array, Array]:
+        """Values of "weber_fraction" or "spread" and their probabilities, flat."""
+        if parameter == "spread":
+            return self.spread, self.mass.sum(axis=0)
+        return np.exp(self.mean).ravel(), self.mass.ravel()
 
     def draws(self, count: int, seed: int) -> dict[str, Array]:
         """Joint draws of both parameters, each (count,): nodes, moved within their cells."""
@@ -163,17 +160,6 @@ def _end_weights(shape: Sequence[int]) -> Array:
     for axis in (0, 1):
         np.moveaxis(out, axis, 0)[[0, -1]] *= 0.5
     return out
-
-
-def _finer(values: Array, factor: int) -> Array:
-    """Linear interpolation along every axis."""
-    for axis, n in enumerate(values.shape):
-        at = np.linspace(0, n - 1, factor * (n - 1) + 1)
-        left = np.minimum(at.astype(np.intp), n - 2)
-        share = (at - left).reshape([-1 if i == axis else 1 for i in range(values.ndim)])
-        first, second = (np.take(values, left + j, axis) for j in (0, 1))
-        values = first + share * (second - first)
-    return values
 
 
 def _narrowed(

@@ -29,6 +29,12 @@ from .trials import (
     standards_of,
 )
 
+__all__ = [
+    "load_numerosity",
+    "load_rat_auditory",
+    "read_trials",
+]
+
 FORMS = (("stimulus_1", "stimulus_2"), ("standard", "comparison"), ("log_ratio",))
 ANSWERS = {
     "choice": "2AFC",
@@ -199,7 +205,7 @@ def _choose_columns(
     answers = [a for a in ANSWERS if a in expected]
     if task is not None:
         answers = [a for a in answers if TASKS[ANSWERS[a]].response == task.response]
-    # A mapped answer is wanted; one that merely has our name may be a by-product.
+    # A mapped answer is meant; one that merely has our name may be a by-product.
     answer = next((a for a in answers if a in mapping), answers[0] if answers else None)
     if answer is None:
         answer = task.response if task else "choice"

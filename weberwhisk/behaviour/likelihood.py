@@ -13,7 +13,7 @@ from scipy.special import gammaln
 
 from .._util import checks
 from .._util.values import Array, Fields, Index
-from .condensed import nodes_of
+from .condensed import condensed
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
     Encoding,
@@ -24,10 +24,21 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .located import binned, over_places
+from .located import over_places
 from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
 from .tasks import Task
 from .trials import Cells, Trials, check_trials
+
+__all__ = [
+    "BIASES",
+    "Draws",
+    "WeberModel",
+    "build_model",
+    "encoding_of",
+    "gather",
+    "names_by_standard",
+    "pairs_shown",
+]
 
 BIASES = ("none", "shared", "per standard")
 RHO_TINY = 1e-7  # below this a beta-binomial is a binomial, and log-gammas lose their digits
@@ -93,11 +104,6 @@ class WeberModel(Fields):
         return max(len(self.group_names), 1)
 
     @property
-    def lapse_names(self) -> tuple[str, ...]:
-        """Lapse parameters of the task."""
-        return self.task.lapses
-
-    @property
     def lead(self) -> tuple[str, ...]:
         """All parameters but the biases: Weber fraction, effects, and the two lapses last."""
         return ("weber_fraction", *(e.name for e in self.effects), "lapse_low", "lapse_high")
@@ -105,7 +111,7 @@ class WeberModel(Fields):
     @cached_property
     def free(self) -> tuple[bool, ...]:
         """Which of the lead are inferred."""
-        absent = {"lapse_low", "lapse_high"} - {*self.lapse_names}
+        absent = {"lapse_low", "lapse_high"} - {*self.task.lapses}
         return tuple(n not in absent and not self.priors.is_fixed(n) for n in self.lead)
 
     @property
@@ -121,7 +127,7 @@ class WeberModel(Fields):
 
     def value(self, name: str, scores: ArrayLike) -> Array:
         """A lead parameter at a normal score of its prior; zero where the task has none such."""
-        if name.startswith("lapse_") and name not in self.lapse_names:
+        if name.startswith("lapse_") and name not in self.task.lapses:
             return np.zeros(np.shape(scores))
         return self.priors.value(name, scores)
 
@@ -140,11 +146,12 @@ class WeberModel(Fields):
     @cached_property
     def transforms(self) -> tuple[LapseTransform, ...]:
         """The coordinate of each lead parameter for a grid: its score, but for lapses."""
-        answers = float(self.cells.n.sum()) / 3
+        doublings = round(np.log2(max(float(self.cells.n.sum()) / 3, 1.0)))
         return tuple(
-            lapse_transform(self.priors.of(name), answers) if is_lapse and free else PLAIN
+            lapse_transform(self.priors.of(name), doublings)
+            if free and name in self.task.lapses
+            else PLAIN
             for name, free in zip(self.lead, self.free, strict=True)
-            for is_lapse in [name in self.lapse_names]
         )
 
     def at(self, name: str, coordinate: ArrayLike) -> Array:
@@ -274,40 +281,33 @@ class WeberModel(Fields):
         """The same observer without effects."""
         return replace(self, effects=(), columns=np.zeros((0, 0))) if self.effects else self
 
-    def merged(self, most: int = 200) -> WeberModel:
+    def merged(self) -> WeberModel:
         """The same likelihood with fewer cells: those that only differ in scale are one.
 
         Under Weber's law every standard repeats the same few ratios. Effects and floors know the
-        scale, and leave the cells as they are. More than `most` are condensed to nodes, where the
-        decision variable is D/k for a number D of each cell; measured places are binned.
+        scale, and leave the cells as they are. More than 200 are condensed to nodes, where the
+        decision variable is D/k for a number D of each cell; of measured places more than 1000.
         """
-        p, c = self.encodings, self.cells
-        if self.effects or p.has_floor:
+        pairs, n, count, group = self.encodings, self.cells.n, self.cells.count, self.group
+        if self.effects or pairs.has_floor:
             return self
-        if p.has_spread:
-            found = binned(self.task, p, c, self.group)
-            return replace(self, encodings=found[0], cells=found[1], group=found[2])
-        key = np.column_stack([(p.mean_2 - p.mean_1) / p.sd_1, p.sd_2 / p.sd_1])
-        rounded = np.column_stack([np.round(key, 11), self.group])
-        _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        gap, ratio = key[first].T
-        n, count = (
-            np.bincount(same.reshape(-1), a, first.size).astype(float) for a in (c.n, c.count)
-        )
-        group = self.group[first]
-        if first.size > most and self.task.is_difference:
-            d = gap / np.hypot(1.0, ratio)
-            parts = [nodes_of(d, answers, group) for answers in (count, n - count)]
-            d, n = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-            group = np.concatenate([part[2] for part in parts])
-            count = np.where(np.arange(n.size) < parts[0][0].size, n, 0.0)
-            gap, ratio, first = d * np.sqrt(2.0), np.ones(n.size), np.zeros(n.size, dtype=np.intp)
-        return replace(
-            self,
-            encodings=UnitEncodings(np.zeros(n.size), np.ones(n.size), gap, ratio),
-            cells=Cells(c.stimulus_1[first], c.stimulus_2[first], c.standard[first], n, count),
-            group=group,
-        )
+        if not pairs.has_spread:
+            key = np.column_stack([(pairs.mean_2 - pairs.mean_1) / pairs.sd_1,
+                                   pairs.sd_2 / pairs.sd_1])  # fmt: skip
+            rounded = np.column_stack([np.round(key, 11), group])
+            _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+            same = same.reshape(-1)
+            n, count = (np.bincount(same, a, first.size).astype(float) for a in (n, count))
+            gap, ratio = key[first].T
+            pairs = UnitEncodings(np.zeros(first.size), np.ones(first.size), gap, ratio)
+            group = group[first]
+        if n.size > (1000 if pairs.has_spread else 200) and (
+            pairs.has_spread or self.task.is_difference
+        ):
+            pairs, n, count, group = condensed(self.task, pairs, n, count, group)
+        unknown = np.full(n.size, np.nan)  # the stimuli of a node
+        cells = Cells(unknown, unknown, unknown, n, count)
+        return replace(self, encodings=pairs, cells=cells, group=group)
 
     def subset(self, standard: float) -> WeberModel:
         """The same observer seen at one standard alone."""

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from .._util import checks
-from .._util.values import Array, Index
+from .._util.values import Array
 from ..inference.observer import Observer
 from ..recordings import locate
 from ..recordings.columns import FROM_SHAPE, read_contacts
@@ -35,6 +35,14 @@ from .encodings import (
 from .psychometric import response_probability
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
+
+__all__ = [
+    "at_touches",
+    "estimate_scatter",
+    "over_places",
+    "simulate_moving",
+    "with_distances",
+]
 
 _HINT = "write distances=ww.locate(contacts, whisker, touch='touch')"
 #: Columns of `locate` and of the posterior of a touch: mean, sd, status.
@@ -149,12 +157,14 @@ def with_distances(
     _check_unit(mean, nominal)
     scatter = estimate_scatter((mean - nominal).ravel(), sd.ravel())
     seen = np.isfinite(mean)
-    wanted = seen.any(axis=0) | ~np.array([yes_no, False])
-    prior = np.where(wanted, nominal + scatter.offset, nominal)
+    measured = seen.any(axis=0) | ~np.array([yes_no, False])
+    prior = np.where(measured, nominal + scatter.offset, nominal)
     with np.errstate(divide="ignore"):
         weight = np.where(seen, scatter.sd**2 / (scatter.sd**2 + sd**2), 0.0)
     at = np.where(seen, weight * np.where(seen, mean, 0.0) + (1 - weight) * prior, prior)
-    own = np.where(seen, np.sqrt(weight) * np.where(seen, sd, 0.0), np.where(wanted, scatter.sd, 0))
+    own = np.where(
+        seen, np.sqrt(weight) * np.where(seen, sd, 0.0), np.where(measured, scatter.sd, 0)
+    )
     lost = ~gives_signal(encoding, at)
     if lost.any():
         raise ValueError(
@@ -163,7 +173,7 @@ def with_distances(
             "or change the whisker or the cue."
         )
     unit = 1e3 * encoding.unit
-    missing, stray = int((wanted & ~seen).sum()), int((~joined).sum())
+    missing, stray = int((measured & ~seen).sum()), int((~joined).sum())
     notes = [
         f"Distances were located: {unit * scatter.offset:+.3g} mm from the nominal places on "
         f"average, scattered by {unit * scatter.sd:.3g} mm, measured to "
@@ -241,48 +251,6 @@ def over_places(
     return at_means._replace(
         mean_1=m1, sd_1=sd_1, mean_2=m1 + mean * sd, sd_2=sd_2, spread=variance * sd**2
     )
-
-
-def binned(
-    task: Any, encodings: UnitEncodings, cells: Cells, group: Index, most: int = 1000
-) -> tuple[UnitEncodings, Cells, Index]:
-    """Thousands of trials, each at places of its own, in about `most` cells: those of a bias that
-    are alike in D for k = 1, and in its variance.
-
-    A bin is some thousandths of D wide, and what is lost is of second order in its width over k.
-    """
-    n = cells.n
-    if n.size <= most:
-        return encodings, cells, group
-    sd = task.decision_sd(encodings.encoded(np.float64(1.0)))
-    d, variance = (encodings.mean_2 - encodings.mean_1) / sd, encodings.spread / sd**2
-    spread = np.log(np.maximum(variance, 1e-6))
-    level = np.floor(15.99 * (spread - spread.min()) / (np.ptp(spread) + 1e-12))
-    _, pool = np.unique(np.column_stack([level, group]), axis=0, return_inverse=True)
-    pool = pool.reshape(-1)
-    sizes = np.bincount(pool)
-    order = np.lexsort((d, pool))
-    rank = np.empty(n.size, dtype=np.intp)
-    rank[order] = np.arange(n.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    each = max(most // sizes.size, 1)
-    _, first, same = np.unique(
-        pool * each + rank * each // sizes[pool], return_index=True, return_inverse=True
-    )
-    same = same.reshape(-1)
-
-    def total(values: Array) -> Array:
-        return np.bincount(same, values).astype(float)
-
-    weight = total(n)
-    ratio = total(n * encodings.sd_2 / encodings.sd_1) / weight
-    unit = UnitEncodings(np.zeros(first.size), np.ones(first.size), ratio, ratio)
-    sd = task.decision_sd(unit.encoded(np.float64(1.0)))
-    fewer = Cells(
-        cells.stimulus_1[first], cells.stimulus_2[first], cells.standard[first], weight,
-        total(cells.count),
-    )  # fmt: skip
-    mean, spread = sd * total(n * d) / weight, sd**2 * total(n * variance) / weight
-    return unit._replace(mean_2=mean, spread=spread), fewer, group[first]
 
 
 def simulate_moving(
@@ -377,12 +345,12 @@ def _as_text(labels: pd.Series) -> pd.Series:
     return labels.astype(str).str.removesuffix(".0")
 
 
-def _refuse_lacking(header: Any, wanted: list[str]) -> None:
-    lacking = [c for c in wanted if c not in header]
+def _refuse_lacking(header: Any, needed: list[str]) -> None:
+    lacking = [c for c in needed if c not in header]
     if lacking:
         raise ValueError(
             f"distances has no column {', '.join(map(repr, lacking))}; it needs "
-            f"{', '.join(wanted)}."
+            f"{', '.join(needed)}."
         )
 
 

@@ -33,7 +33,7 @@ LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 
 
 class PopulationStatus(Enum):
-    """What the animals together could tell, worst first.
+    """What the animals together determine, worst first.
 
     Examples
     --------
@@ -44,7 +44,7 @@ class PopulationStatus(Enum):
     NO_TRIALS = "no animal has trials that can be used"
     NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
     ONE_ANIMAL = "there is one animal: the spread between animals is the prior's"
-    SPREAD_UNINFORMED = "the animals are too few, or tell too little, to say how they differ"
+    SPREAD_UNINFORMED = "the animals are too few, or inform too little, to say how they differ"
     DETERMINED = "the data determine the population and how its animals differ"
 
     @property
@@ -249,7 +249,7 @@ def fit_population(
     checks.generator(seed)
     if "subject" not in trials.frame:
         raise ValueError(
-            f"{trials.source}: there is no column 'subject' to tell subjects apart; map one with "
+            f"{trials.source}: there is no column 'subject' that names the subjects; map one with "
             "columns={'subject': '<its name>'} when the table is read."
         )
     unit_known = trials.scale == "linear" or trials.log_unit is not None

@@ -24,6 +24,14 @@ from .integrate import PosteriorGrid, density_of, log_marginal
 from .likelihood import Draws, WeberModel
 from .priors import REACH
 
+__all__ = [
+    "QuadraturePosterior",
+    "SampledPosterior",
+    "WeberPosterior",
+    "prior_draws",
+    "sample",
+]
+
 
 def split(model: WeberModel, theta: Array) -> tuple[Array, Array]:
     """Scores (..., lead) and biases (..., G) of the free parameters (..., D), biases last."""
@@ -58,6 +66,25 @@ def find_mode(model: WeberModel, start: Array) -> tuple[Array, Array]:
 
     found = minimize(cost, start, jac=slope, method="BFGS", options={"gtol": 1e-3})
     return found.x, np.asarray(found.hess_inv)
+
+
+def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws:
+    """Joint draws from the prior of a model."""
+    free = np.array(model.free)
+    kept: list[Array] = []
+    while sum(map(len, kept)) < size:
+        z = rng.standard_normal((size, free.size)) * free
+        if free[-2:].all():
+            rho = model.priors.lapse_correlation
+            z[:, -1] = rho * z[:, -2] + np.sqrt(1 - rho**2) * z[:, -1]
+        *_, low, high = model.at_scores(z)
+        kept.append(z[sum(model.lapses(low, high)) < 1])
+    if model.free_bias:
+        uniform = rng.random((size, model.n_groups))
+        bias = np.asarray(model.priors.of("bias").ppf(uniform))
+    else:
+        bias = np.full((size, model.n_groups), model.fixed_bias())
+    return model.draws_at(np.concatenate(kept)[:size], bias)
 
 
 def named_values(model: WeberModel, theta: Array) -> dict[str, float]:

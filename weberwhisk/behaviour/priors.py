@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,20 @@ from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
 from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
+
+__all__ = [
+    "DEFAULTS",
+    "PLAIN",
+    "REACH",
+    "SPREAD",
+    "TINY",
+    "LapseTransform",
+    "Priors",
+    "check_distribution",
+    "lapse_transform",
+    "of_task",
+    "priors_for",
+]
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass
@@ -159,15 +173,16 @@ class Priors(Fields):
 
     def log_density(self, name: str, value: ArrayLike) -> Array:
         """Log-density of a free parameter."""
-        prior, x = self.of(name), np.asarray(value, dtype=float)
-        if getattr(prior.dist, "name", "") == "norm":  # SciPy's checks cost more than the sum
-            mean, sd = _moments(prior)
-            return np.asarray(-0.5 * ((x - mean) / sd) ** 2 - np.log(sd * np.sqrt(2 * np.pi)))
-        return np.asarray(prior.logpdf(x))
+        return np.asarray(self.of(name).logpdf(value), dtype=float)
 
     def moments(self, name: str) -> tuple[float, float]:
         """Mean and sd of a free parameter; the middle half stands in where there are none."""
-        return _moments(self.of(name))
+        prior = self.of(name)
+        mean, sd = float(prior.mean()), float(prior.std())
+        if np.isfinite(mean) and np.isfinite(sd):
+            return mean, sd
+        low, middle, high = (float(q) for q in prior.ppf([0.25, 0.5, 0.75]))
+        return middle, (high - low) / 1.35
 
     def words(self, name: str) -> str:
         """The prior of a parameter, as one would write it.
@@ -182,15 +197,6 @@ class Priors(Fields):
             return f"fixed at {float(prior):g}"
         about = " about the levels shown" if getattr(prior, "about_levels", False) else ""
         return in_words(prior) + about
-
-
-@lru_cache(maxsize=256)
-def _moments(prior: Any) -> tuple[float, float]:
-    mean, sd = float(prior.mean()), float(prior.std())
-    if np.isfinite(mean) and np.isfinite(sd):
-        return mean, sd
-    low, mean, high = (float(q) for q in prior.ppf([0.25, 0.5, 0.75]))
-    return mean, (high - low) / 1.35
 
 
 @lru_cache(maxsize=256)
@@ -210,8 +216,7 @@ def quantiles(prior: Any) -> Any:
     return lambda score: np.exp(log_value(score))
 
 
-@dataclass(frozen=True)
-class LapseTransform:
+class LapseTransform(NamedTuple):
     """A variance-stabilising coordinate t of a normal score z; z itself without `to_score`.
 
     In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of
@@ -220,42 +225,32 @@ class LapseTransform:
     N answers has an sd of 1/√N. Even nodes in t are then fine where they must be.
     """
 
-    to_score: Any = None
-    to_coordinate: Any = None
+    to_score: CubicSpline | None = None
+    to_coordinate: CubicSpline | None = None
     ends: tuple[float, float] = (-REACH, REACH)
 
     def score(self, t: ArrayLike) -> Array:
         """z at t."""
-        t = np.asarray(t, dtype=float)
-        return t if self.to_score is None else self.to_score(_within(t, *self.ends))
+        return np.asarray(t if self.to_score is None else self.to_score(np.clip(t, *self.ends)))
 
     def coordinate(self, z: ArrayLike) -> Array:
         """t at z."""
-        z = np.asarray(z, dtype=float)
-        return z if self.to_score is None else self.to_coordinate(_within(z, -REACH, REACH))
+        spline = self.to_coordinate
+        return np.asarray(z if spline is None else spline(np.clip(z, -REACH, REACH)))
 
     def slope(self, t: ArrayLike) -> Array:
         """dz/dt at t."""
-        t = np.asarray(t, dtype=float)
         if self.to_score is None:
-            return np.ones(t.shape)
-        return self.to_score(_within(t, *self.ends), 1)
-
-
-def _within(values: Array, low: float, high: float) -> Array:
-    return np.minimum(np.maximum(values, low), high)  # half of what np.clip costs
+            return np.ones(np.shape(t))
+        return np.asarray(self.to_score(np.clip(t, *self.ends), 1))
 
 
 PLAIN = LapseTransform()
 
 
-def lapse_transform(prior: Any, answers: float) -> LapseTransform:
-    """The coordinate for a lapse with that prior, and so many answers to learn it from."""
-    return _transform(prior, int(np.round(np.log2(max(answers, 1.0)))))
-
-
 @lru_cache(maxsize=256)
-def _transform(prior: Any, doublings: int) -> LapseTransform:
+def lapse_transform(prior: Any, doublings: int) -> LapseTransform:
+    """The coordinate for a lapse with that prior, and 2^doublings answers to learn it from."""
     z = np.linspace(-REACH, REACH, 1441)
     arc = CubicSpline(z, 2 * np.arcsin(np.sqrt(np.clip(quantiles(prior)(z), 0.0, 1.0))))
     density = np.sqrt(1 + 2.0**doublings * arc(z, 1) ** 2)
@@ -310,9 +305,9 @@ def levels_prior(
     for pairs in shown:
         if pairs.has_floor:
             raise ValueError(
-                "part of the noise does not go with the Weber fraction, and levels tell of the "
-                "whole; state scipy.stats.lognorm(0.46, scale=0.1) as the prior of weber_fraction, "
-                "say, instead of 'levels'."
+                "part of the noise does not go with the Weber fraction, and levels inform of "
+                "the whole; state scipy.stats.lognorm(0.46, scale=0.1) as the prior of "
+                "weber_fraction, say, instead of 'levels'."
             )
         sd = pairs.sd_2 if isinstance(task, YesNo) else np.hypot(pairs.sd_1, pairs.sd_2)
         gap = np.abs(pairs.mean_2 - pairs.mean_1)[sd > 0] / sd[sd > 0]
@@ -365,7 +360,7 @@ def priors_for(
         checks.one_of("the belief about weber_fraction", named, ("levels",))
         if "floor" in own:
             raise ValueError(
-                "a floor is fitted, and levels tell of all noise together; state a prior of "
+                "a floor is fitted, and levels inform of all noise together; state a prior of "
                 "weber_fraction, or leave out 'levels' or the floor."
             )
         assert task is not None

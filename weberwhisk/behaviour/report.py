@@ -13,7 +13,7 @@ from .._util.values import Array, counted, paragraphs
 from .criticism import checks
 from .estimates import Estimates
 from .likelihood import Draws
-from .predictive import prior_draws
+from .posteriors import prior_draws
 from .verdict import FitStatus, too_few_kinds
 
 __all__ = ["as_dict", "report", "sentence", "to_arviz"]
@@ -97,7 +97,7 @@ def _limits(fit: Estimates, least_p: float = 0.01) -> list[str]:
         lines.append(
             "What is believed about lapses moves the Weber fraction: by "
             f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
-            "lapses to one that never does. Easy trials tell the lapses."
+            "lapses to one that never does. Easy trials determine the lapses."
         )
     if fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber":
         lines.append(
@@ -138,8 +138,8 @@ def _next(fit: Estimates) -> str:
     factor = (width / 0.4) ** 2
     return (
         f"About {factor:.1f} times as many trials of the same kind bring the "
-        "interval within ±20 %; those answered right 75 to 95 % of the time tell most, and a few "
-        "very easy ones tell the lapses."
+        "interval within ±20 %; those answered right 75 to 95 % of the time inform most, and a "
+        "few very easy ones determine the lapses."
     )
 
 

@@ -26,9 +26,16 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .psychometric import response_probability
-from .tasks import task_named
+from .tasks import Task, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
+
+__all__ = [
+    "SIGNED_OFFSETS",
+    "draw_animals",
+    "simulate_population",
+    "simulate_responses",
+    "simulate_trials",
+]
 
 ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
@@ -139,12 +146,10 @@ def simulate_trials(
     if subject is not None and not isinstance(subject, str | int):
         raise ValueError(f"subject must be a name, got {checks.shown(subject)}; write 'r1', say.")
     encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
-    log_unit = encoded.log_unit if isinstance(encoded, LogEncoding) else None
-    scale = "linear" if log_unit is None else "log"
     base = np.ravel(checks.finite("standards", standards, "give one stimulus or several"))
     if not base.size:
         raise ValueError("standards is empty; write standards=1.0, say.")
-    levels = _levels(base, offsets, comparisons, scale == "log")
+    levels = _levels(base, offsets, comparisons, isinstance(encoded, LogEncoding))
     shift = checks.finite("bias", bias, "write for example 0")
     if shift.shape not in ((), (1,), base.shape):
         raise ValueError(
@@ -178,7 +183,7 @@ def simulate_trials(
     )
     if subject is not None:
         frame.insert(0, "subject", subject)
-    trials = Trials(frame, chosen, scale, log_unit, "simulated trials", notes_of(frame))
+    trials = _simulated(frame, chosen, encoded)
     answers = responses(
         trials,
         encoded,
@@ -191,7 +196,7 @@ def simulate_trials(
         uniform=uniform[place],
         rng=rng,
     )
-    return replace(trials, frame=frame.assign(count=np.where(np.isnan(count), np.nan, answers)))
+    return replace(trials, frame=frame.assign(count=count + answers))
 
 
 def _course(
@@ -247,8 +252,8 @@ def responses(
     encoding: Encoding,
     *,
     weber_fraction: Array,
-    lapse_low: float,
-    lapse_high: float,
+    lapse_low: Array | float,
+    lapse_high: Array | float,
     bias: Array,
     noise: str,
     effects: Sequence[tuple[Effect, float]],
@@ -282,7 +287,7 @@ def responses(
             encoded = effect.apply(encoded, np.array([value]), of_trial)
         d, weight = task.decide(encoded)
         up, down = task.chance(d, weight * bias)
-        low, high = task.asymptotes(np.array(lapse_low), np.array(lapse_high))
+        low, high = task.asymptotes(np.asarray(lapse_low), np.asarray(lapse_high))
         p = np.asarray(low * down + (1 - high) * up)
         for (effect, value), column in zip(bound, columns, strict=True):
             if isinstance(effect, Overdispersion):
@@ -442,11 +447,11 @@ def simulate_responses(
         unit = 1e3 * getattr(encoding, "unit", 1.0)
         lengths = in_millimetres(table).items()
         table = table.assign(**{ours: table[theirs] / unit for ours, theirs in lengths})
-    for name, frame, wanted in (("table", table, STIMULI), ("animals", animals, TRUTH)):
-        lacking = {"subject", *wanted} - set(getattr(frame, "columns", ()))
+    for name, frame, needed in (("table", table, STIMULI), ("animals", animals, TRUTH)):
+        lacking = {"subject", *needed} - set(getattr(frame, "columns", ()))
         if not isinstance(frame, pd.DataFrame) or lacking:
             raise ValueError(
-                f"{name} must be a DataFrame with columns subject, {', '.join(wanted)}, got "
+                f"{name} must be a DataFrame with columns subject, {', '.join(needed)}, got "
                 f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}."
             )
     checked_encoding(encoding)
@@ -457,23 +462,23 @@ def simulate_responses(
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
         raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
     rng = checks.generator(seed)
-    standard, s1, s2 = (table[name].to_numpy(float) for name in STIMULI)
-    refuse_unencoded(encoding, np.concatenate([s1, s2, standard]))
-    p = np.empty(len(table))
-    for _, own in truth.groupby(list(TRUTH), sort=False):
-        rows = own.index.to_numpy()
-        k, lapse_low, lapse_high, bias = (float(own[name].iloc[0]) for name in TRUTH)
-        p[rows] = response_probability(
-            chosen, encoding, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
-            lapse_low=lapse_low, lapse_high=lapse_high, bias=bias, noise=noise,
-        )  # fmt: skip
-    # Uniform numbers alone: the streams of the other distributions may change between versions.
-    answer = (rng.random(p.size) < p).astype(float)
-    answer[rng.random(p.size) < share] = np.nan
-    frame = table[[name for name in LABELS if name in table]].assign(
-        standard=standard, stimulus_1=s1, stimulus_2=s2, n=1, count=answer
-    )
+    labels = {name: table[name] for name in LABELS if name in table}
+    stimuli = {name: table[name].to_numpy(float) for name in STIMULI}
+    refuse_outside(encoding, np.concatenate(list(stimuli.values())))
+    refuse_unencoded(encoding, np.concatenate(list(stimuli.values())))
+    uniform = rng.random(len(table))
+    count = np.where(rng.random(len(table)) < share, np.nan, 0.0)
+    frame = pd.DataFrame(labels | stimuli | {"n": 1, "count": count}).reset_index(drop=True)
+    trials = _simulated(frame, chosen, encoding)
+    answers = responses(
+        trials, encoding, **{name: truth[name].to_numpy(float) for name in TRUTH}, noise=noise,
+        effects=(), uniform=uniform, rng=rng,
+    )  # fmt: skip
+    return replace(trials, frame=frame.assign(count=count + answers))
+
+
+def _simulated(frame: pd.DataFrame, task: Task, encoding: Encoding) -> Trials:
+    """Simulated trials on the scale of their encoding."""
     log_unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
-    scale, source = "linear" if log_unit is None else "log", "simulated trials"
-    frame = frame.reset_index(drop=True)
-    return Trials(frame, chosen, scale, log_unit, source, notes_of(frame))
+    scale = "linear" if log_unit is None else "log"
+    return Trials(frame, task, scale, log_unit, "simulated trials", notes_of(frame))

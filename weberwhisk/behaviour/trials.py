@@ -16,6 +16,30 @@ from .._util.output import atomic_write, csv_text
 from .._util.values import Array, Flags, Index, Line
 from .tasks import Task
 
+__all__ = [
+    "LABELS",
+    "SCALES",
+    "SDS",
+    "STIMULI",
+    "Cells",
+    "Trials",
+    "after_gap",
+    "check_trials",
+    "data_package",
+    "describe_table",
+    "in_millimetres",
+    "in_order",
+    "joined",
+    "needs_order",
+    "needs_rows",
+    "notes_of",
+    "rounded_standards",
+    "rows_in_words",
+    "session_block",
+    "sessions_of",
+    "standards_of",
+]
+
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")
 STIMULI = ("standard", "stimulus_1", "stimulus_2")
@@ -162,12 +186,12 @@ class Trials(Line):
         # Numbers and text side by side: numbers first.
         return sorted(found, key=lambda label: (isinstance(label, str), label))
 
-    def select(self, **wanted: Any) -> Trials:
-        """The trials whose columns have the values wanted.
+    def select(self, **chosen: Any) -> Trials:
+        """The trials whose columns have these values.
 
         Parameters
         ----------
-        **wanted
+        **chosen
             Column = one value, or several: `select(subject="s1", session=range(20, 41))`.
 
         Raises
@@ -176,12 +200,12 @@ class Trials(Line):
             For an unknown column, or where nothing is left.
         """
         keep = np.ones(len(self.frame), dtype=bool)
-        for column, value in wanted.items():
+        for column, value in chosen.items():
             checks.one_of("column", column, map(str, self.frame.columns))
             values = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
             keep &= self.frame[column].isin(list(values)).to_numpy()
         if not keep.any():
-            words = ", ".join(f"{column} = {value!r}" for column, value in wanted.items())
+            words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
             raise ValueError(f"{self.source}: no trials have {words}; choose values that occur.")
         known = notes_of(self.frame, self.rows)
         others = (note for note in self.notes if note not in known)
@@ -393,7 +417,7 @@ def session_block(frame: pd.DataFrame) -> Index:
 
 
 def in_order(frame: pd.DataFrame) -> bool:
-    """Whether rows come session by session, trials rising in each, as far as columns tell."""
+    """Whether rows come session by session, trials rising in each, as far as columns say."""
     block = session_block(frame)
     labels = frame[[label for label in ("subject", "session") if label in frame]]
     if labels.size and block[-1] - block[0] >= len(labels.drop_duplicates()):
@@ -404,7 +428,7 @@ def in_order(frame: pd.DataFrame) -> bool:
 
 
 def after_gap(frame: pd.DataFrame) -> Flags:
-    """Where the number of a trial leaps within a session: the one before it is not in the table."""
+    """Where trial numbers of a session skip some: the trial before is not in the table."""
     if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
         return np.zeros(len(frame), dtype=bool)
     return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)

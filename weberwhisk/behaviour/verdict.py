@@ -35,7 +35,7 @@ class FitStatus(Enum):
         "exchanged, and the Weber fraction below means nothing until that is settled"
     )
     ONE_SIDED = (
-        "all answers are the same: they tell of a preference, not of the stimuli, and the Weber "
+        "all answers are the same: they show a preference alone, and the Weber "
         "fraction below means nothing"
     )
     NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
@@ -49,11 +49,11 @@ class FitStatus(Enum):
         "prior's"
     )
     GIVEN = "the Weber fraction was given, not fitted"
-    DETERMINED = "the data determine the Weber fraction: both ends of the interval are theirs"
+    DETERMINED = "the data determine the Weber fraction, at both ends of its interval"
 
     @property
     def ok(self) -> bool:
-        """Whether the interval is the data's own, or none was asked for."""
+        """Whether the interval is the data's own, or none was requested."""
         return self in (FitStatus.GIVEN, FitStatus.DETERMINED)
 
     @property
@@ -107,7 +107,7 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     none, some = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))
     apart = none.max(initial=-np.inf) < some.min(initial=np.inf)
     if apart and none.size + some.size > 1 and not _one_sided(model):
-        notes.append("Every level is answered all one way: only harder comparisons can tell more.")
+        notes.append("Every level is answered all one way: only harder comparisons inform further.")
     return tuple(notes)
 
 
@@ -156,7 +156,7 @@ def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
         suspect = c.count.sum() < model.task.guess_rate * c.n.sum()
     if not suspect:
         return False
-    # Effects do not turn answers round: the plain observer tells.
+    # Effects do not turn answers round: the plain observer decides.
     plain = model.plain().merged()
     exchanged = replace(plain, cells=replace(plain.cells, count=plain.cells.n - plain.cells.count))
     as_they_are = posterior.log_evidence if not model.effects else None
@@ -200,7 +200,7 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     """
     own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
     rows = [("as fitted", *own)]
-    free = [n for n in model.lapse_names if n in model.names]
+    free = [n for n in model.task.lapses if n in model.names]
     if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
         for words, belief in BELIEFS.items():
             changed: dict[str, Any] = dict.fromkeys(free, belief)

@@ -157,7 +157,7 @@ def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[p
 
     checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
     if name == "law":
-        test = fit.weber_law_test()
+        test = ww.behaviour.weber_law_test(fit)
         return test.by_standard, test.report()
 
     def fitted(encoding: Encoding, *more: Effect) -> ww.WeberFit:

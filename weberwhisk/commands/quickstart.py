@@ -315,7 +315,7 @@ def _of_rat(rat: dict[str, Any]) -> list[str]:
         "model describes this and does not explain it. Nor do the steps look equally easy, as "
         "they would to one Weber fraction without bias: the mean share of right answers is "
         f"{softest:.0%} at the softest standard and {loudest:.0%} at the loudest; "
-        "WeberFit.weber_law_test() weighs that (some 20 s).",
+        "weber_law_test(fit) weighs that (some 20 s).",
         "Data: rat W053, first 40 sessions; sample data of the psytrack package "
         "(github.com/nicholas-roy/psytrack), MIT licence, copyright Nicholas A. Roy; task of "
         "Akrami, Kopec, Diamond & Brody 2018, Nature 554:368. Whisker: Belli, Yang, Bresee & "

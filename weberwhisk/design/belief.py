@@ -163,7 +163,7 @@ class Belief:
         self._standards = np.unique(candidates.standard)
         for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
             for doublings in range(3, 13 * free):  # their coordinates, made now and kept
-                lapse_transform(model.priors.of(name), 2.0**doublings)
+                lapse_transform(model.priors.of(name), doublings)
         self._building: Iterator[BeliefGrid | None] | None = None
         self._lay(model, Axes.whole(model, sizes))
 

@@ -124,8 +124,8 @@ def _summed(nodes: ChoiceNodes, tolerance: float) -> tuple[PosteriorGrid, Array]
     refine = np.sqrt(np.clip(1 - np.log(np.maximum(over, 1.0)) / np.log(2 / tolerance), 0.25, 1.0))
     refine = np.where(over > 1, np.minimum(refine, 0.8), 1.0)
     error = max(lines.max(), bias_error) ** 4
-    # Half-grids agree on the evidence long before they do on the tails of k where these are no
-    # bump's: a shelf where lapses explain all, a kink where answers forbid every smaller k.
+    # Half-grids agree on the evidence long before they do on the tails of k where these are not
+    # a normal's: a shelf where lapses explain all, a kink where answers forbid every smaller k.
     shift = _quantile_shift(axes[0], marginals[0])
     if shift > SHIFT and axes[0].size < 200:
         refine[0] = min(refine[0], 0.6)
@@ -166,7 +166,7 @@ def _half_grid_error_by_line(joint: Array, axis: int) -> float:
 
 def _steepest(log_density: Array) -> float:
     """The farthest fall from one node to the next, of nodes within 4 nats of the peak: where
-    answers forbid all beyond a place the density ends in a cliff, not as a bump."""
+    answers forbid all beyond a place the density ends in a cliff."""
     finite = np.maximum(log_density, -600.0)
     high = np.maximum(finite[1:], finite[:-1]) > -4.0
     return float(np.max(np.abs(np.diff(finite)), where=high, initial=0.0))

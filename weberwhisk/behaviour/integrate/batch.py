@@ -1,6 +1,6 @@
 """Zooming in from the prior, many data sets of one design together, and k of one animal.
 
-Steps are fine beside the narrowest bump that there can be: trapezoid sums over smooth bumps
+Steps are fine beside the narrowest peak that there can be: trapezoid sums over smooth peaks
 converge exponentially, so that log evidences err by some 0.01.
 """
 
@@ -28,6 +28,15 @@ from ..axes import (
 from ..likelihood import WeberModel
 from .blocks import NOTHING, ChoiceNodes
 
+__all__ = [
+    "log_sum",
+    "marginal",
+    "of_fraction",
+    "outer_prior",
+    "over_fractions",
+    "zoomed",
+]
+
 Single = NDArray[np.float32]
 
 
@@ -47,7 +56,7 @@ def zoomed(
 
     `steps` are those of the last pass here, each `finer` than the one before; the first, over all
     of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
-    there is; what is the best is told `by_node` where any k may come to matter. Windows stay as
+    there is; the best is that `by_node` where any k may come to matter. Windows stay as
     they are before a pass of more than `most` values.
     """
     windows = everything(model, len(counts))

@@ -22,6 +22,11 @@ from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score
 from ..likelihood import WeberModel
 from ..priors import TINY
 
+__all__ = [
+    "NOTHING",
+    "ChoiceNodes",
+]
+
 Values = NDArray[Any]
 
 NOTHING = -1e5  # log of what cannot be
@@ -113,7 +118,7 @@ class ChoiceNodes:
         ends = np.array([low[np.isfinite(low)].min(), high[np.isfinite(high)].max()])
         width = float(np.ptp(bias_at(self.model, ends)))  # in the sd that one answer leaves
         span = np.linspace(ends[0], ends[1], int(np.clip(width / 0.4, 4, 48)) + 1)
-        # Effects hardly change it: those in the middle tell.
+        # Effects hardly change it: those in the middle stand for all.
         size = self.outer[0].size
         middle = np.arange(len(self.d)).reshape(size, -1)[:, len(self.d) // size // 2]
         sds = least_bias_sds(self.model, self.d[middle], self.weight[middle], span)
