@@ -206,3 +206,13 @@ def test_misuse_of_cues_and_receptors_is_one_clear_sentence(number: int) -> None
     with pytest.raises(ValueError, match=part) as caught:
         work()
     assert str(caught.value).count(";") == 1
+
+
+def test_slips_of_units_are_hinted_at() -> None:
+    with pytest.warns(UserWarning, match=r"curvature is in 1/m, got 0.012.*Write 12\."):
+        ww.Whisker(50e-3, 100e-6, 5e-6, curvature=0.012)
+    tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
+    with pytest.warns(UserWarning, match="in metres, got 25: did you pass millimetres.*25e-3"):
+        ww.jnd_curve(tap, [20e-3, 25.0], seed=1)
+    with pytest.raises(ValueError, match=r"sign and unit \(N m, N, rad\)"):
+        ww.posterior(tap, 1e9)

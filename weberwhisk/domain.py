@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,6 +53,17 @@ def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
         raise ValueError(
             f"The base must not be wider than the whisker is long, got base_radius {at:g} m: did "
             "you pass micrometres or millimetres? Write 100e-6 for 100 µm."
+        )
+
+
+def hint_at_curvature(curvature: ArrayLike) -> None:
+    """Warn of curvatures that no whisker has in 1/m and all have in 1/mm."""
+    size = np.abs(np.asarray(curvature, dtype=float))
+    if np.any(slip := (size > 2e-3) & (size < 0.1)):
+        at = float(np.asarray(curvature, dtype=float)[slip].flat[0])
+        warn(
+            f"curvature is in 1/m, got {at:g}: did you pass 1/mm? Write {1e3 * at:g}.",
+            stacklevel=4,
         )
 
 

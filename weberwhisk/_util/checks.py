@@ -43,6 +43,18 @@ def angle(name: str, value: ArrayLike, hint: str) -> Array:
     return array
 
 
+def distance(name: str, value: ArrayLike, hint: str) -> Array:
+    """`value` as metres above zero, with a warning beyond 1 m: likely to be millimetres."""
+    array = positive(name, value, hint)
+    if np.any(beyond := array > 1.0):
+        at = float(_first(array, beyond))
+        warn(
+            f"{name} is in metres, got {at:g}: did you pass millimetres? Write {at:g}e-3.",
+            stacklevel=3,
+        )
+    return array
+
+
 def positive(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers above zero."""
     array = finite(name, value, hint)

@@ -415,5 +415,5 @@ def refuse_impossible(reading: Array, highest: Array) -> None:
     if np.any(impossible):
         raise ValueError(
             f"No contact can give the reading {reading[impossible][0].tolist()} under this noise; "
-            "check its sign, or choose noise that allows it, such as Weber."
+            "check its sign and unit (N m, N, rad), or choose noise that allows it, such as Weber."
         )

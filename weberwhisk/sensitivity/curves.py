@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import campaign
-from .._util.checks import angle, finite, generator, one_of, positive, positive_number, whole
+from .._util.checks import (
+    angle,
+    distance,
+    finite,
+    generator,
+    one_of,
+    positive,
+    positive_number,
+    whole,
+)
 from .._util.values import Array, Shown, pd, with_units
 from ..cues import Compliance, ForceMap
 from ..inference import Observer, default_noise
@@ -229,7 +238,7 @@ def jnd_curve(
 def _contact(
     observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None
 ) -> Array:
-    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
+    r = distance("radial_distance", radial_distance, "give metres, such as 30e-3")
     if "deflection_angle" not in observer.unknowns:
         if deflection_angle is not None:
             raise ValueError(
@@ -359,7 +368,7 @@ def jnd_sweep(
         raise ValueError(f"A sweep has one whisker, got {whisker!r}; give its fields as numbers.")
     criterion_factor(criterion)
     k = positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
-    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
+    r = distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
     angles: list[float | None] = [None]
     if deflection_angle is not None:
         angles = [*finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()]
