@@ -129,6 +129,6 @@ def test_the_command(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(app, ["design", *few, "--scheduler", cluster, "--workers", "2"]) == 2
     assert capsys.readouterr() == (
         "",
-        "weberwhisk: a cluster has its own workers, got workers=2 with a scheduler; leave one "
+        "weberwhisk: a cluster has its own workers, got --workers 2 with a scheduler; leave one "
         "out.\n",
     )
