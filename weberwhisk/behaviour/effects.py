@@ -63,8 +63,12 @@ class Effect:
 
 
 # One object each: the table of its quantiles is made once (see `priors.quantiles`).
-NORMAL = {sd: stats.norm(0.0, sd) for sd in (0.3, 0.5)}
-_RHO = stats.beta(1.0, 15.0)
+_PRIORS = {
+    "drift": stats.norm(0.0, 0.5),
+    "overdispersion": stats.beta(1.0, 15.0),
+    "contraction": stats.norm(0.0, 0.3),
+    "history": stats.norm(0.0, 0.5),
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +87,7 @@ class Drift(Effect, Fields):
     array([-0.5, -0.5, -0.5,  0. ,  0. ,  0. ,  0.5,  0.5,  0.5])
     """
 
-    prior: rv_frozen | float = NORMAL[0.5]
+    prior: rv_frozen | float = _PRIORS["drift"]
     name: str = "drift"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
@@ -148,7 +152,7 @@ class Overdispersion(Effect, Fields):
     touches the likelihood, not the signals.
     """
 
-    prior: rv_frozen | float = _RHO
+    prior: rv_frozen | float = _PRIORS["overdispersion"]
     name: str = "overdispersion"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
@@ -164,7 +168,7 @@ class Contraction(Effect, Fields):
     signal of the whole table, as for an animal that has known its stimuli for long.
     """
 
-    prior: rv_frozen | float = NORMAL[0.3]
+    prior: rv_frozen | float = _PRIORS["contraction"]
     name: str = "contraction"
     centre: float = 0.0
 
@@ -189,7 +193,7 @@ class History(Effect, Fields):
     missing answer or after a trial that is not in the table, has none.
     """
 
-    prior: rv_frozen | float = NORMAL[0.5]
+    prior: rv_frozen | float = _PRIORS["history"]
     name: str = "history"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:

@@ -40,13 +40,15 @@ REACH = 9.0  # scores beyond which no prior has mass
 TINY = 1e-300
 DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(1, 20)"
 
-_WEBER = stats.lognorm(np.log(3.0), scale=0.1)
-_LAPSE = stats.beta(0.7, 20.0)
-_LAPSE_BY_LEVELS = stats.beta(0.5, 9.5)
-_BIAS = stats.norm(0.0, 1.0)
+_BELIEFS = {  # one object each, whose quantiles are tabulated once
+    "weber_fraction": stats.lognorm(np.log(3.0), scale=0.1),
+    "lapse": stats.beta(0.7, 20.0),
+    "lapse by levels": stats.beta(0.5, 9.5),
+    "bias": stats.norm(0.0, 1.0),
+    # "Different" must be said of a difference: a criterion below zero says it of everything.
+    "same-different": stats.lognorm(0.7, scale=1.3),
+}
 SPREAD = stats.halfnorm(scale=0.5)  # of ln k between animals
-# "Different" must be said of a difference: a criterion below zero says it of everything.
-_SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,10 +86,10 @@ class Priors(Fields):
     (True, 'norm(0, 0.5)')
     """
 
-    weber_fraction: Any = _WEBER
-    lapse_low: Any = _LAPSE
-    lapse_high: Any = _LAPSE
-    bias: Any = _BIAS
+    weber_fraction: Any = _BELIEFS["weber_fraction"]
+    lapse_low: Any = _BELIEFS["lapse"]
+    lapse_high: Any = _BELIEFS["lapse"]
+    bias: Any = _BELIEFS["bias"]
     lapse_correlation: float = 0.7
     effects: Mapping[str, Any] = field(default_factory=dict)
 
@@ -365,7 +367,7 @@ def priors_for(
             )
         assert task is not None
         changes["weber_fraction"] = levels_prior(shown, task)
-        changes = dict.fromkeys(("lapse_low", "lapse_high"), _LAPSE_BY_LEVELS) | changes
+        changes = dict.fromkeys(("lapse_low", "lapse_high"), _BELIEFS["lapse by levels"]) | changes
     steps = np.abs(cells.stimulus_2 - cells.stimulus_1)
     if not unit_known and np.any(steps > 0):
         scale = float(np.median(steps[steps > 0]))
@@ -378,6 +380,6 @@ def priors_for(
 
 def of_task(priors: Priors, task: Task) -> Priors:
     """The priors with the task's own belief about its bias, where nothing else is said of it."""
-    if isinstance(task, SameDifferent) and priors.bias is _BIAS:
-        return replace(priors, bias=_SAME_DIFFERENT)
+    if isinstance(task, SameDifferent) and priors.bias is _BELIEFS["bias"]:
+        return replace(priors, bias=_BELIEFS["same-different"])
     return priors
