@@ -8,7 +8,7 @@ from .comparison import Comparison, compare
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
-from .fit import WeberFit, fit_weber
+from .fit import StateFit, WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
@@ -17,6 +17,7 @@ from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import Priors
 from .psychometric import response_probability, threshold
 from .simulate import simulate_population, simulate_trials
+from .states import States
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
 from .verdict import FitStatus
@@ -37,6 +38,8 @@ __all__ = [
     "PopulationStatus",
     "Priors",
     "SignedChoice",
+    "StateFit",
+    "States",
     "Task",
     "Trials",
     "WeberFit",

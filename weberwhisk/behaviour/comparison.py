@@ -160,6 +160,11 @@ def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
             "trials of an overdispersed observer are not independent, so none can be left out "
             "alone; compare fits without the effect Overdispersion."
         )
+    if model.n_states > 1:
+        raise ValueError(
+            f"trials of an observer with states={model.n_states} follow each other, so none can be "
+            "left out alone; subtract one fit's log_evidence from the other's."
+        )
     chains = fit.posterior.chains
     draws = fit.posterior.draws()
     size = len(draws) // chains

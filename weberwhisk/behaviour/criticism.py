@@ -53,7 +53,7 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         one_of("column", column, map(str, rows.frame.columns))
-    p = _expected(fit).mean(axis=0)[rows.cell]
+    p = _expected(fit, rows).mean(axis=0)
     table = rows.frame[list(columns)].assign(
         n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
     )
@@ -79,8 +79,9 @@ def quantile_residuals(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     >>> bool(abs(table["z"].mean()) < 0.5)
     True
     """
-    gathered, cell = Answers.of(fit).gathered()
-    p = _expected(fit)[:, cell]
+    rows = Answers.of(fit)
+    gathered, group = rows.gathered()
+    p = _summed(_expected(fit, rows) * rows.n, group) / gathered["n"].to_numpy(float)
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
@@ -123,14 +124,13 @@ def checks(fit: Estimates, seed: int = 0) -> pd.DataFrame:
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
-    by_cell = fit.model.probability(*draws.values)
     rng = generator(seed)
     statistics = rows.statistics()
     # (seen, made) of every statistic; few draws at a time where there are many rows.
     values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
     stride = max(2_000_000 // rows.n.size, 1)  # numbers that are in memory together
-    for start in range(0, len(by_cell[0]), stride):
-        p, q = (side[start : start + stride, rows.cell] for side in by_cell)
+    for start in range(0, len(draws), stride):
+        p, q = fit.model.by_row(draws.at(slice(start, start + stride)), rows.cell)
         again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
         spread = np.maximum(rows.n * p * q, 1e-12)
         for name, (statistic, _) in statistics.items():
@@ -164,11 +164,12 @@ class Answers:
         return cls(frame, n, count, cell)
 
     def gathered(self) -> tuple[pd.DataFrame, Index]:
-        """Answers of one pair of stimuli in one session together, and the cell of each."""
+        """Answers of one pair of stimuli in one session together, and which each row is in."""
         labels = [c for c in ("session", *STIMULI) if c in self.frame]
         table = self.frame[labels].assign(cell=self.cell, n=self.n, count=self.count)
-        sums = table.groupby([*labels, "cell"], sort=True)[["n", "count"]].sum().reset_index()
-        return sums.drop(columns="cell"), sums["cell"].to_numpy(np.intp)
+        groups = table.groupby([*labels, "cell"], sort=True)
+        sums = groups[["n", "count"]].sum().reset_index().drop(columns="cell")
+        return sums, groups.ngroup().to_numpy().astype(np.intp)
 
     def statistics(self) -> dict[str, tuple[Callable[[Array, Array], Array], str]]:
         """Statistics of residuals (D, R) and their variances, each with a remedy."""
@@ -226,6 +227,6 @@ def _squares(off: Array, spread: Array, group: Index) -> Array:
     return np.asarray(_summed(off, group) ** 2 / _summed(spread, group))
 
 
-def _expected(fit: Estimates) -> Array:
-    """P of every cell at some draws, (D, C)."""
-    return fit.model.probability(*fit.posterior.draws().thinned(1000).values)[0]
+def _expected(fit: Estimates, rows: Answers) -> Array:
+    """P of every row at some draws, (D, R)."""
+    return fit.model.by_row(fit.posterior.draws().thinned(1000), rows.cell)[0]

@@ -75,6 +75,11 @@ class Estimates(Shown):
         """Names of the effects in the model."""
         return tuple(effect.name for effect in self.model.effects)
 
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences of the report on what this kind of fit alone has."""
+        return []
+
     def interval(
         self,
         mass: float = 0.95,
@@ -263,7 +268,7 @@ class Estimates(Shown):
         `z`, their difference in binomial standard errors.
         """
         cells, draws = self.model.cells, self.posterior.draws().thinned(1000)
-        p = self.model.probability(*draws.values)[0].mean(axis=0)
+        p = self.model.expected(draws)[0].mean(axis=0)
         labels = {name: getattr(cells, name) for name in STIMULI}
         return pd.DataFrame(
             labels | compared(cells.n, cells.count, cells.n * p, cells.n * p * (1 - p))
@@ -277,7 +282,7 @@ class Estimates(Shown):
         if not cells.n.size:
             return 1.0
         draws = self.posterior.draws().thinned(1000)
-        p, q = self.model.probability(*draws.values)
+        p, q = self.model.expected(draws)
         again = self.model.simulate(draws, np.random.default_rng(0))
         variance = cells.n * p * q
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,20 +12,30 @@ import numpy as np
 from .._util import checks
 from .._util.arviz_io import ArvizData
 from .._util.threads import one_blas_thread
+from .._util.values import Array, pd
 from . import report
 from .effects import Effect
 from .encodings import NOISES, Encoding
-from .estimates import Estimates
+from .estimates import Estimates, tails
+from .importance import Target
 from .integrate import integrate
 from .likelihood import build_model
 from .located import at_touches
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
+from .states import (
+    STATE_PRIORS,
+    StateModel,
+    check_states,
+    engagement,
+    state_posterior,
+    with_states,
+)
 from .trials import Trials
 from .verdict import verdict
 
-__all__ = ["WeberFit", "fit_weber"]
+__all__ = ["StateFit", "WeberFit", "fit_weber"]
 
-METHODS = ("quadrature", "emcee")
+METHODS = ("quadrature", "importance", "emcee")
 
 
 class WeberFit(Estimates):
@@ -63,6 +74,51 @@ class WeberFit(Estimates):
         return report.to_arviz(self)
 
 
+class StateFit(WeberFit):
+    """The fit of an observer that is engaged part of the time; see `weberwhisk.behaviour.states`.
+
+    The Weber fraction, lapses, bias and thresholds are those of the engaged state. Residuals and
+    checks are of each answer given the answers before it.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> from weberwhisk.behaviour import States
+    >>> fit = fit_weber(simulate_trials(states=States(engaged=0.6), seed=1), states=3)
+    >>> fit.parameters[-5:]
+    ('engaged', 'switch', 'side', 'answer_low', 'answer_high')
+    >>> share, low, high = fit.share_engaged()
+    >>> low < share < high
+    True
+    """
+
+    @cached_property
+    def _engagement(self) -> tuple[Array, Array]:
+        assert isinstance(self.model, StateModel)
+        return engagement(self.model, self.posterior.draws().thinned(2000), seed=0)
+
+    @cached_property
+    def engagement(self) -> pd.DataFrame:
+        """The table of trials with `engaged`, the probability that the animal was, given all of its
+        answers; trials without an answer have one too."""
+        return self.trials.frame.assign(engaged=self._engagement[0])
+
+    @property
+    def remarks(self) -> list[str]:
+        """How much of the time the animal was engaged, in a sentence."""
+        share, low, high = (100 * x for x in self.share_engaged())
+        return [
+            f"The animal was engaged on {share:.0f} % of these trials ({low:.0f} to {high:.0f} %), "
+            "and the Weber fraction is that of these."
+        ]
+
+    def share_engaged(self, mass: float = 0.95) -> tuple[float, float, float]:
+        """Share of these trials on which the animal was engaged: mean, and ends of an interval."""
+        share = self._engagement[1]
+        low, high = np.quantile(share, tails(mass))
+        return float(share.mean()), float(low), float(high)
+
+
 @one_blas_thread
 def fit_weber(
     trials: Trials,
@@ -72,6 +128,7 @@ def fit_weber(
     bias: str | None = None,
     noise: str = "weber",
     effects: Sequence[Effect] = (),
+    states: int = 1,
     priors: Any = None,
     method: str | None = None,
     distances: Any = None,
@@ -97,13 +154,19 @@ def fit_weber(
     effects : sequence of Effect
         What else may move the answers, a parameter each: a floor, drift over sessions, history,
         contraction, overdispersion; see `weberwhisk.behaviour.effects`.
+    states : {1, 2, 3}
+        States of the animal, which last some trials each: engaged, and with 2 one in which its
+        answers have nothing to do with the stimuli, with 3 two in which it answers nearly always
+        one way, or the other. Needs a row a trial in their order; see `StateFit`, and
+        `weberwhisk.behaviour.states` for the model and the priors.
     priors : Priors or mapping, optional
         Frozen SciPy distributions, or numbers for what is known, by parameter:
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where
         the levels were chosen to bracket the animal's thresholds. See `Priors`.
-    method : {"quadrature", "emcee"}, optional
+    method : {"quadrature", "importance", "emcee"}, optional
         By default quadrature up to six parameters, five with overdispersion (biases of standards
-        count as one, being integrated one by one), and emcee beyond.
+        count as one, being integrated one by one), and importance sampling beyond and with states.
+        emcee shares nothing with either but the model.
     distances : DataFrame or path, optional
         Where the touches of each trial were located (`ww.locate`), in place of nominal distances,
         or the contacts to locate by the observer's whisker; see `with_distances`. Of an observer
@@ -114,7 +177,7 @@ def fit_weber(
     Returns
     -------
     WeberFit
-        Always read its `status`.
+        Always read its `status`. A `StateFit` with states.
 
     Raises
     ------
@@ -135,17 +198,34 @@ def fit_weber(
     if distances is not None:
         trials, encoding = at_touches(trials, distances, encoding, observer)
         observer = None
-    model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
+    further = STATE_PRIORS.get(check_states(states), {})
+    model, encoded, chosen = build_model(
+        trials, encoding, observer, bias, noise, priors, effects, further
+    )
     # A grid takes seven times as long with each parameter, overdispersed three times as long again.
     size = sum(model.free) + model.free_bias + (model.dispersed is not None)
-    by_itself = "quadrature" if size <= 6 else "emcee"
+    by_itself = "quadrature" if size <= 6 and states == 1 else "importance"
     used = by_itself if method is None else method
     checks.one_of("method", used, METHODS)
     rng = checks.generator(seed)
+    if states > 1:
+        if used != "importance":
+            raise ValueError(
+                f"states={states} is fitted by importance sampling alone, got method={method!r}; "
+                "leave method out."
+            )
+        chain = with_states(model, trials, encoded, states)
+        found = state_posterior(chain, rng)
+        status, notes = verdict(chain, found)
+        return StateFit(
+            trials, chain, encoded, noise, chosen, used, found, status, (*trials.notes, *notes)
+        )
     fewer = model.merged()
     posterior: WeberPosterior
     if used == "emcee":
         posterior = sample(fewer, seed=rng)
+    elif used == "importance":
+        posterior = Target(fewer).posterior(rng)
     else:
         posterior = QuadraturePosterior(fewer, integrate(fewer), int(rng.integers(2**63)))
     status, notes = verdict(model, posterior)

@@ -76,6 +76,11 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
             f"Weber's law is tested without effects, got {', '.join(e.name for e in model.effects)}"
             "; fit without them, or compare fits with and without Floor()."
         )
+    if model.n_states > 1:
+        raise ValueError(
+            f"Weber's law is tested of one state, got states={model.n_states}; fit the trials of "
+            "each standard, trials.select(standard=...), with states."
+        )
     if fit.standards.size < 2:
         raise ValueError(
             "Weber's law needs two standards or more, got 1; collect another standard."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -66,10 +66,13 @@ class Draws:
         """All, in the order of the arguments of a likelihood."""
         return self.weber_fraction, self.lapse_low, self.lapse_high, self.bias, self.effects
 
+    def at(self, place: Any) -> Draws:
+        """Some of them."""
+        return Draws(*(values[place] for values in self.values))
+
     def thinned(self, most: int) -> Draws:
         """Every so many of them, about `most` or fewer than twice that."""
-        step = max(len(self) // most, 1)
-        return Draws(*(values[::step] for values in self.values))
+        return self.at(slice(None, None, max(len(self) // most, 1)))
 
     def named(self, model: WeberModel) -> dict[str, Array]:
         """The inferred parameters by name, each (N,)."""
@@ -97,6 +100,11 @@ class WeberModel(Fields):
     group_names: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
     columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def n_states(self) -> int:
+        """States of the animal."""
+        return 1
 
     @property
     def n_groups(self) -> int:
@@ -142,6 +150,10 @@ class WeberModel(Fields):
         """Every parameter at scores (N, lead) and biases (N, G)."""
         k, effects, low, high = self.at_scores(scores)
         return Draws(k, low, high, bias, effects)
+
+    def completed(self, draws: Draws, rng: np.random.Generator) -> Draws:
+        """Draws from the prior with those of parameters that a kind of model has beside."""
+        return draws
 
     @cached_property
     def transforms(self) -> tuple[LapseTransform, ...]:
@@ -271,6 +283,19 @@ class WeberModel(Fields):
         n = self.cells.n.astype(np.int64)
         return rng.binomial(n, np.clip(p, 0.0, 1.0)).astype(float)
 
+    def expected(self, draws: Draws) -> tuple[Array, Array]:
+        """P of either answer to each cell, (N, C)."""
+        return self.probability(*draws.values)
+
+    def log_said(self, draws: Draws) -> Array:
+        """Log-probability of the answers to each cell, (N, C)."""
+        return self.cell_log_likelihood(*draws.values)
+
+    def by_row(self, draws: Draws, cell: Index) -> tuple[Array, Array]:
+        """The same of rows with these cells, (N, R)."""
+        p, q = self.probability(*draws.values)
+        return p[:, cell], q[:, cell]
+
     def log_bias_prior(self, bias: Array) -> Array:
         """Log-density of the bias prior, elementwise; 0 where the bias is fixed."""
         if not self.free_bias:
@@ -346,8 +371,9 @@ def build_model(
     noise: str,
     priors: Any,
     effects: Sequence[Effect] = (),
+    further: Mapping[str, Any] | None = None,
 ) -> tuple[WeberModel, Encoding, str]:
-    """The model of a fit, its encoding, and the bias chosen."""
+    """The model of a fit, its encoding, and the bias chosen; `further` parameters have priors."""
     check_trials(trials)
     check_effects(effects)
     if len(trials.subjects) > 1:
@@ -376,8 +402,8 @@ def build_model(
             "of angles is a constant; give receptors whose noise grows, receptors.Weber(0.1), say."
         )
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
-    by_name = {effect.name: effect.prior for effect in bound}
-    if len(by_name) < len(bound):
+    by_name = {effect.name: effect.prior for effect in bound} | dict(further or {})
+    if len({effect.name for effect in bound}) < len(bound):
         raise ValueError(
             f"effects must differ, got {', '.join(e.name for e in bound)}; name each once."
         )

@@ -25,6 +25,19 @@ _NOISE = {
     "equal-variance": "the sd that the standard's signal gives, k times it",
 }
 
+_CHAIN = (
+    "Before each trial the state is kept with probability 1 − switch, and otherwise, as at the "
+    "start of a session, drawn anew: engaged with the probability of that name"
+)
+_STATES = {
+    2: "The animal is a hidden Markov chain of two states: engaged, the observer above, and "
+    "disengaged, with one probability of the answer, answer_away, whatever the stimuli. "
+    f"{_CHAIN}.",
+    3: "The animal is a hidden Markov chain of three states: engaged, the observer above, and two "
+    "disengaged ones, with probabilities of the answer, answer_low and answer_high, whatever the "
+    f"stimuli (Ashwood et al. 2022). {_CHAIN}; side is the share of answer_high in the rest.",
+}
+
 
 def methods_paragraph(fit: Estimates | PopulationFit | pd.DataFrame) -> str:
     """What was done to choices or contacts, as a methods section says it; numbers are the result's.
@@ -75,6 +88,8 @@ def _of_one(fit: Estimates) -> list[str]:
             f"Φ(d{' + b' * (fit.bias != 'none')}), where d is the difference of the two signals "
             f"over its sd and λ_lo, λ_hi are lapse rates{bias}."
         )
+    if fit.model.n_states > 1:
+        said.append(_STATES[fit.model.n_states])
     if fit.effects:
         said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
     return [*said, _priors(fit), _how(fit.method), f"The fit's status: {fit.status.name}."]
@@ -126,5 +141,7 @@ def _encoded(encoding: Encoding, noise: str) -> str:
 
 
 def _how(method: str) -> str:
-    by = "by quadrature" if method == "quadrature" else f"with {method}"
+    by = {"quadrature": "by quadrature", "importance": "by importance sampling"}.get(
+        method, f"with {method}"
+    )
     return f"Posteriors were computed {by}; estimates are medians with equal-tailed 95 % intervals."

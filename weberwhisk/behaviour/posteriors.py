@@ -84,7 +84,7 @@ def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws
         bias = np.asarray(model.priors.of("bias").ppf(uniform))
     else:
         bias = np.full((size, model.n_groups), model.fixed_bias())
-    return model.draws_at(np.concatenate(kept)[:size], bias)
+    return model.completed(model.draws_at(np.concatenate(kept)[:size], bias), rng)
 
 
 def named_values(model: WeberModel, theta: Array) -> dict[str, float]:

@@ -61,6 +61,7 @@ def _answer(fit: Estimates) -> list[str]:
             lines.append(
                 f"{name}: {fit.posterior.quantile(name, 0.5):.3g} ({low:.3g} to {high:.3g})."
             )
+    lines += fit.remarks
     if fit.status not in (FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NO_TRIALS):
         for row in fit.threshold().to_dict(orient="records"):
             lines.append(
@@ -192,7 +193,7 @@ def to_arviz(fit: Estimates, seed: int = 0) -> ArvizData:
             columns["bias"] = chained(of.bias if many else of.bias[:, 0])
         return columns
 
-    by_cell = model.cell_log_likelihood(*draws.values)
+    by_cell = model.log_said(draws)
     dims = {name: ["cell"] for name in ("answers", "n", "stimulus_1", "stimulus_2")}
     coords: dict[str, Any] = {"cell": np.arange(cells.n.size)}
     if model.free_bias and many:
@@ -244,6 +245,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
             "noise": fit.noise,
             "bias": fit.bias,
             "effects": list(fit.effects),
+            "states": fit.model.n_states,
             "method": fit.method,
             "encoding": type(fit.encoding).__name__,
         },

@@ -26,6 +26,7 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
+from .states import States
 from .tasks import Task, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
@@ -57,6 +58,7 @@ def simulate_trials(
     observer: Any = None,
     noise: str = "weber",
     effects: Sequence[tuple[Effect, float]] = (),
+    states: States | None = None,
     order: str = "standard first",
     sessions: int = 1,
     subject: str | None = None,
@@ -95,6 +97,9 @@ def simulate_trials(
     effects : sequence of (Effect, float)
         What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
         `weberwhisk.behaviour.effects`.
+    states : States, optional
+        An animal that is engaged part of the time; `state` of the table says when: "engaged",
+        "low" or "high".
     order : {"standard first", "random"}
         "random": in every other trial of each pair the comparison is stimulus 1. Only then is the
         order effect (the `bias`) distinguished from a preference for the comparison.
@@ -196,6 +201,16 @@ def simulate_trials(
         uniform=uniform[place],
         rng=rng,
     )
+    if states is not None:
+        checks.kind("states", states, "States", "drawn", "write States(engaged=0.7)")
+        if not chosen.has_bias:
+            raise ValueError(
+                f"states need a task whose answers take a side, got task {task!r}; write "
+                "task='2AFC', or leave states out."
+            )
+        state, second = states.drawn(frame, rng.random((2, len(frame))))
+        answers = np.where(state > 0, uniform[place] < second, answers)
+        frame = frame.assign(state=np.array(["engaged", "low", "high"])[state])
     return replace(trials, frame=frame.assign(count=count + answers))
 
 
