@@ -62,9 +62,9 @@ class Scene:
 
 
 SCENES = (
-    Scene("easy: 0.4 L, a tenth of the fold", 0.4, 0.1),
-    Scene("middling: 0.6 L, half of the fold", 0.6, 0.5),
-    Scene("hard: 0.7 L, 0.999 of the fold", 0.7, 0.999),
+    Scene("easy: 0.4 L, 0.1 of flick-past", 0.4, 0.1),
+    Scene("middling: 0.6 L, 0.5 of flick-past", 0.6, 0.5),
+    Scene("hard: 0.7 L, 0.999 of flick-past", 0.7, 0.999),
 )
 
 

@@ -440,7 +440,70 @@ def measure_growth(*, full: bool = False) -> pd.DataFrame:
 
 
 def slope(count: Any, value: Any) -> float:
-    """Exponent of growth over the upper half of the sizes, by least squares; NaN of one size."""
-    half = len(count) // 2
-    x, y = (np.log(np.asarray(v, dtype=float)[-max(half, 2) :]) for v in (count, value))
-    return float(np.polyfit(x, y, 1)[0]) if x.size > 1 else float("nan")
+    """Exponent of growth over the upper half of the sizes, by least squares.
+
+    NaN of fewer than three sizes, and where they are no line: off it by more than a quarter.
+    """
+    half = max(len(count) // 2, 3)
+    x, y = (np.log(np.asarray(v, dtype=float)[-half:]) for v in (count, value))
+    if x.size < 3:
+        return float("nan")
+    line = np.polyfit(x, y, 1)
+    straight = np.abs(np.polyval(line, x) - y).max() < np.log(1.25)
+    return float(line[0]) if straight else float("nan")
+
+
+# -- conclusions -----------------------------------------------------------------------------------
+
+#: Errors that are small enough: of a moment 0.1 JND at k = 0.1; of an sd and of a JND 3 %.
+ENOUGH = {"beams": 0.01, "posteriors": 0.03, "jnds": 0.03}
+#: This package's methods in order of what they model.
+MORE = {
+    "beams": ("closed form", "elastica", "planar beam, 300 at once", "rod, one"),
+    "posteriors": ("Laplace", "quadrature", "emcee, stacked"),
+    "jnds": ("closed form", "exact slope", "posteriors, quadrature", "posteriors, emcee"),
+}
+
+
+def conclusions(table: pd.DataFrame) -> list[str]:
+    """Three sentences: which method for which scene, where each fails, what more would have cost.
+
+    Of the table of all parts; a method is quickest in a scene among those without a failure whose
+    error is within `ENOUGH`, at the largest number of items in one call.
+    """
+    quickest, failing, extra = [], [], []
+    for part, allowed in ENOUGH.items():
+        here = table[(table["part"] == part) & table["failed"].notna()]
+        for scene, rows in here.groupby("scene", sort=False):
+            good = rows[(rows["error"] <= allowed) & (rows["failed"] == 0)]
+            if good.empty:
+                continue
+            best = good.loc[good["seconds"].idxmin()]
+            quickest.append(f"{scene}: {best['method']} ({in_time(best['seconds'])})")
+            bad = [m for m, own in rows.groupby("method", sort=False)
+                   if own["failed"].max() > 0 or own["error"].min() > allowed]  # fmt: skip
+            if bad:
+                failing.append(f"{scene}: {', '.join(bad)}")
+            more = good[good["method"].isin(MORE[part]) & (good["method"] != best["method"])]
+            costs = more.groupby("method", sort=False)["seconds"].min() / best["seconds"]
+            if costs.size:
+                each = ", ".join(f"{m} {two_digits(c)} times" for m, c in costs.items())
+                extra.append(f"{scene}: {each}")
+    allowed_words = "0.1 JND in a moment (k = 0.1), 3 % in an sd or a JND"
+    return [
+        f"Quickest within {allowed_words}: {'; '.join(quickest)}.",
+        f"Never within that, or flagged or without an answer somewhere: {'; '.join(failing)}.",
+        f"What modelling more would have cost, over the quickest: {'; '.join(extra)}.",
+    ]
+
+
+def in_time(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    units = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
+    unit, size = next((u for u in units if seconds >= u[1]), units[-1])
+    return f"{two_digits(seconds / size)} {unit}"
+
+
+def two_digits(value: float) -> str:
+    """A number to two digits, without an exponent below a million."""
+    return f"{float(f'{value:.2g}'):,g}"

@@ -287,7 +287,7 @@ def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
     }
 
 
-def make(folder: Path, *, full: bool = True, sets: int = 50) -> dict[str, pd.DataFrame]:
+def make(folder: Path, *, full: bool = True, sets: int = 200) -> dict[str, pd.DataFrame]:
     """Tables and figures into `folder`."""
     foot = machine(*PACKAGES)
     absent = missing()
@@ -311,7 +311,9 @@ def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
 
 
 if __name__ == "__main__":
-    given = options(__file__, __doc__, short="few settings, little data", sets=50)
+    given = options(__file__, __doc__, short="few settings, little data", sets=200)
     made = make(given.folder, full=not given.short, sets=4 if given.short else given.sets)
+    for sentence in charts.conclusions(pd.concat(made.values(), ignore_index=True)):
+        print(sentence)
     for name, table in made.items():
         print(f"\n{name}\n{table.to_string(index=False, float_format='{:.3g}'.format)}")

@@ -44,8 +44,9 @@ def speed_accuracy(
     figure = new_figure(DOUBLE, 10.0)
     rows: Any = figure.subfigures(3, 1, height_ratios=(1.0, 1.1, 0.85))
     parts = dict(iter(table.groupby("part")))
-    hollow, k = set(outside), weber_fraction
-    axes = _row(rows[0], parts["beams"], hollow, "relative error of the moment", "rounding")
+    styles = _styles(table, set(outside))
+    k = weber_fraction
+    axes = _row(rows[0], parts["beams"], styles, "relative error of the moment", "rounding")
     in_jnds = (lambda error: error / k, lambda jnds: jnds * k)
     for ax in axes:
         ax.axhline(allowed * k, color="0.6", linewidth=0.7, linestyle="--")
@@ -58,11 +59,11 @@ def speed_accuracy(
     right.set_ylabel(f"error of r (JND, k = {k:g})")
     rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
     error = "r.m.s. relative error of the"
-    axes = _row(rows[1], parts["posteriors"], hollow, f"{error} sd", "referee")
+    axes = _row(rows[1], parts["posteriors"], styles, f"{error} sd", "referee")
     axes[0].set_ylim(1e-17, TOP)
     rows[1].supxlabel(f"CPU time of one posterior (s), k = {k:g}", fontsize=8)
     truth = "Monte Carlo error of the truth"
-    axes = _row(rows[2], parts["jnds"], hollow, f"{error} JND", truth, below=True)
+    axes = _row(rows[2], parts["jnds"], styles, f"{error} JND", truth, below=True)
     for ax, (_, part) in zip(axes, parts["jnds"].groupby("scene", sort=False), strict=True):
         swept = part[part["knob"] > 0]
         for i, (_, row) in enumerate(swept.iterrows()):  # in turn above and below
@@ -79,8 +80,9 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     rows: Any = figure.subfigures(2, 1)
     fits, growth = (table[table["part"] == part] for part in ("fits", "growth"))
     left, right = rows[0].subplots(1, 2)
+    styles = _styles(table, set(outside))
     for i, (method, part) in enumerate(fits.groupby("method", sort=False)):
-        style = _style(i, method in set(outside)) | {"label": method}
+        style = styles[method] | {"label": method}
         left.errorbar(part["seconds"], part["error"], part["error_se"], elinewidth=0.7, **style)
         miss = 100 * (part["coverage"] - 0.95)
         spread = 100 * np.sqrt(0.95 * 0.05 / part["count"])
@@ -105,7 +107,11 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     ):
         for i, (method, part) in enumerate(growth.groupby("method", sort=False)):
             by_time, by_size = (part[f"slope_{c}"].iloc[0] for c in ("seconds", "bytes"))
-            label = f"{method}: time ∝ n^{by_time:.2f}, memory ∝ n^{by_size:.2f}"
+            grows = (("time", by_time), ("memory", by_size))
+            label = ", ".join(
+                [f"{what} ∝ n^{power:.2f}" for what, power in grows if power == power]
+            )
+            label = f"{method}: {label}" if label else method
             ax.loglog(part["count"], part[column], **_style(i, False), label=label)
         ax.set(xlabel="n in one call", ylabel=unit)
     _legend(rows[1], [axes[0]])
@@ -125,8 +131,24 @@ def _style(i: int, hollow: bool) -> dict[str, Any]:
     return style | ({"markerfacecolor": "white"} if hollow else {})
 
 
+def _styles(table: pd.DataFrame, hollow: set[str]) -> dict[str, dict[str, Any]]:
+    """One style a method in all panels: the same colour, mark and line wherever it is drawn."""
+    known = table[table["failed"].notna()]["method"]
+    names = dict.fromkeys(name.removeprefix("posteriors, ") for name in known)
+    number = {name: i for i, name in enumerate(names)}
+    return {
+        name: _style(number[name.removeprefix("posteriors, ")], name in hollow)
+        for name in dict.fromkeys(known)
+    }
+
+
 def _row(
-    figure: Any, table: pd.DataFrame, hollow: set[str], ylabel: str, floor: str, below: bool = False
+    figure: Any,
+    table: pd.DataFrame,
+    styles: dict[str, dict[str, Any]],
+    ylabel: str,
+    floor: str,
+    below: bool = False,
 ) -> list[Axes]:
     """A panel for each scene, with one legend, the time of the closed form and the least error.
 
@@ -138,9 +160,9 @@ def _row(
     guide: Any = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
     lowest = TOP
     for ax, (scene, here) in zip(axes, scenes, strict=True):
-        for i, method in enumerate(dict.fromkeys(known["method"])):
+        for method in dict.fromkeys(known["method"]):
             one = here[(here["method"] == method) & here["failed"].notna()]
-            _line(ax, one, _style(i, method in hollow), str(method))
+            _line(ax, one, styles[method], str(method))
         ax.set_title(str(scene), fontsize=SMALL)
         ax.set(xscale="log", yscale="log")
         closed = float(here[here["method"].str.contains("closed form")]["seconds"].min())
