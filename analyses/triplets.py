@@ -25,7 +25,7 @@ import pandas as pd
 from command import options
 
 import weberwhisk as ww
-from weberwhisk.mechanics.curved_surface import SIX, space_surface
+from weberwhisk.mechanics.curved_surface import SIX, CurvedSurface
 from weberwhisk.sensitivity import prior_draws
 
 NAMES = ("FX", "FT", "FD", "MX", "MB", "MD")
@@ -41,7 +41,7 @@ class Contacts:
     """Signals of one whisker at places q (..., 3): distance, share of the largest push, azimuth."""
 
     def __init__(self, whisker: ww.Whisker) -> None:
-        self.surface = space_surface(whisker)
+        self.surface = CurvedSurface(whisker, in_space=True)
         self.reach = self.surface.reach
 
     def signals(self, q: Any) -> Any:

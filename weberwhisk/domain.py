@@ -24,6 +24,11 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
+__all__ = [
+    "CONTACTS", "FITTED_WEBER_FRACTIONS", "LENGTHS", "RADIUS_RATIOS", "TRIALS", "WEBER_FRACTIONS",
+    "of_contact", "of_observer", "of_weber_fractions", "of_whisker", "refuse_length", "sentence",
+]  # fmt: skip
+
 #: Lengths of whiskers, m: rats' whiskers are 5 to 60 mm long, seals' to 480 mm.
 LENGTHS = (2e-3, 0.2)
 #: Base radius over tip radius; a perfect cone, whose ratio is infinite, is inside as well.

@@ -15,6 +15,11 @@ from . import domain
 from ._util.checks import finite, one_of, positive, positive_number, shown
 from ._util.values import Array, Value
 
+__all__ = [
+    "DENSITY", "MATERIALS", "SPECIES", "YOUNGS_MODULUS", "Assumed", "Whisker", "identities",
+    "rest_shape", "usual_turn",
+]  # fmt: skip
+
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
 YOUNGS_MODULUS = 3.34e9
 #: Density at the base, kg/m³; it rises to about 1690 at the tip.

@@ -24,7 +24,7 @@ from weberwhisk.cues import (
     UnknownCurvature,
 )
 from weberwhisk.mechanics import profile
-from weberwhisk.mechanics.curved_surface import PlanarSurface
+from weberwhisk.mechanics.curved_surface import CurvedSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import prior_draws
 from weberwhisk.sweeping import SweepFilter
@@ -53,7 +53,7 @@ def planar_signals(w, r, push, friction=0.0):
 def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
     """Signals within 2e-5 of the lateral force, the ends of its branches within 1e-4."""
     w = whisker(radius_ratio, curvature)
-    surface = PlanarSurface(w, (friction, friction))
+    surface = CurvedSurface(w, (friction, friction))
     assert surface.error < 2e-5
     r = np.linspace(0.05, 0.99, 7) * surface.reach
     end = profile.flick_past(w, r, friction)

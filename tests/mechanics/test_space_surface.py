@@ -7,7 +7,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.mechanics.curved_surface import PlanarSurface, pressed, space_surface
+from weberwhisk.mechanics.curved_surface import CurvedSurface, pressed
 from weberwhisk.mechanics.elastica import Surface
 
 BEND = 8.0
@@ -23,7 +23,7 @@ def relative(found, exact):
 
 @pytest.mark.parametrize("friction", slow_but([0.0, -0.3, 0.3], (1,)))
 def test_signals_and_ends_are_those_of_the_rod_itself(friction):
-    surface = space_surface(W, (friction, friction))
+    surface = CurvedSurface(W, (friction, friction), in_space=True)
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
     r = surface.reach * rng.uniform(0.02, 0.995, 40)
@@ -58,7 +58,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
     force = rods.polish(push, *rods.at(way["trail"], push)[:2])["force"]
     moment = np.cross(rods.point(push), force, axis=0)
     exact = np.concatenate([[-1], [1], [1]]) * force.T
-    found, _ = space_surface(W, (friction, friction))(r, push, azimuth)
+    found, _ = CurvedSurface(W, (friction, friction), in_space=True)(r, push, azimuth)
     assert np.max(relative(found, np.concatenate([exact, moment.T], axis=1))) < 5e-5
 
 
@@ -68,9 +68,9 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
 )
 def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction):
     """Pushed against its curvature it is the whisker of the other sign, upside down."""
-    surface = space_surface(W, (friction, friction))
+    surface = CurvedSurface(W, (friction, friction), in_space=True)
     mirrored = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND)
-    plane = PlanarSurface(mirrored, (friction, friction))
+    plane = CurvedSurface(mirrored, (friction, friction))
     r = np.linspace(0.05, 0.995, 24) * surface.reach
     last = surface.limit(r, np.full(r.shape, azimuth))
     assert last == pytest.approx(plane.limit(r), rel=1e-5)
@@ -83,7 +83,7 @@ def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction
 
 def test_of_a_whisker_that_is_all_but_straight_it_is_the_elastica():
     w = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=1e-9)
-    surface, straight = space_surface(w), Surface(w)
+    surface, straight = CurvedSurface(w, in_space=True), Surface(w)
     azimuth = np.linspace(-3, 3, 12)
     r = np.linspace(0.05, 0.99, 12) * 50e-3
     assert surface.limit(r, azimuth) == pytest.approx(straight.limit(r), rel=1e-6)
@@ -98,7 +98,10 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals():
     r = np.array([20e-3, 20e-3, 60e-3, 0.0, np.nan, 20e-3])
     push = np.array([-0.1, 3.0, 0.1, 0.1, 0.1, 0.1])
     azimuth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, np.nan])
-    for signals, outcome in (space_surface(W)(r, push, azimuth), pressed(W, r, push, azimuth)):
+    for signals, outcome in (
+        CurvedSurface(W, in_space=True)(r, push, azimuth),
+        pressed(W, r, push, azimuth),
+    ):
         assert np.isnan(signals).all()
         assert outcome.tolist() == [
             Outcome.NO_TOUCH, Outcome.FLICKED_PAST, *[Outcome.OUT_OF_REACH] * 4,
@@ -113,4 +116,4 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals():
 )  # fmt: skip
 def test_tables_of_strongly_curved_whiskers_are_the_rod(radius_ratio, curvature, friction):
     w = ww.Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, 3e9, curvature=curvature)
-    assert space_surface(w, (friction, friction)).error < 5e-5
+    assert CurvedSurface(w, (friction, friction), in_space=True).error < 5e-5

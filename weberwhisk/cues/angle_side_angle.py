@@ -22,6 +22,8 @@ from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .protocol import Cue, Encoded, reach_at, readings, straight
 
+__all__ = ["ANGLE_SD", "AngleSideAngle", "ContactAndDetachment", "TwoWhiskers"]
+
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
 

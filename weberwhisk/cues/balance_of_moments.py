@@ -19,6 +19,8 @@ from ..receptors import GeneralisedWeber
 from .angle_side_angle import ANGLE_SD
 from .protocol import Cue, Encoded
 
+__all__ = ["BalanceOfMoments"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BalanceOfMoments(Cue):

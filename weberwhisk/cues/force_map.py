@@ -22,10 +22,12 @@ from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .protocol import Cue, Encoded, reach_at, readings
 
+__all__ = ["IN_SPACE", "SIGNALS", "ForceMap", "MeasuredAngle", "SpaceMap", "is_curved"]
+
 SIGNALS = ("moment", "axial_force", "transverse_force")
 DIRECTIONS = ("moment_direction", "force_direction")
 #: What `SpaceMap` may sense: sizes, components and angles.
-IN_SPACE = (*SIGNALS, *SIX[1:], *DIRECTIONS, "torsion_angle")
+IN_SPACE = tuple(dict.fromkeys((*SIGNALS, *SIX, *DIRECTIONS, "torsion_angle")))
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

@@ -32,6 +32,8 @@ from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 
+__all__ = ["Cue", "Encoded", "Fused", "a_cue", "reach_at", "readings", "straight"]
+
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Encoded = tuple[Array, Codes]
 #: Unknowns that may be of either sign, rad and 1/m.

@@ -19,6 +19,8 @@ from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .protocol import Cue, Encoded, reach_at, straight
 
+__all__ = ["Compliance", "Vibration"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compliance(Cue):

@@ -23,6 +23,8 @@ from ..receptors import ReceptorNoise
 from .force_map import SIGNALS, SpaceMap
 from .protocol import Cue, Encoded, a_cue
 
+__all__ = ["Friction", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness"]
+
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class _Wrapped(Cue):
@@ -369,7 +371,7 @@ class UnknownRoll(_Wrapped):
 
 
 #: Signals that are proportional to EI₀.
-FORCES = (*SIGNALS, "moment_rate", *SIX[1:])
+FORCES = {*SIGNALS, "moment_rate", *SIX}
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

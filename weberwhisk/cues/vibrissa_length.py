@@ -22,6 +22,8 @@ from ..receptors import Events
 from ..whisker import Whisker
 from .protocol import Cue, Encoded, readings, straight
 
+__all__ = ["ComparativeLength", "VibrissaLength"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VibrissaLength(Cue):

@@ -30,6 +30,11 @@ from scipy.integrate import DOP853
 from .._util.values import Array, Codes, Index
 from .shape import Law, Profile
 
+__all__ = [
+    "CAUTION", "ENDS", "POINTS", "SLOTS", "STAGES", "Path", "Piece", "Rows", "follow",
+    "follow_each", "needed", "pilot", "resolve", "rows_of", "zero_load",
+]  # fmt: skip
+
 STAGES = DOP853.n_stages
 #: Where in a step they lie.
 PLACES = np.asarray(DOP853.C[:STAGES], dtype=float)
@@ -112,6 +117,38 @@ def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
         table(profile.core, whisker.base_radius) if np.any(profile.core > 0) else None,
         law,
     )
+
+
+def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
+    """Arc length and angle at which the whisker at rest first meets the radius r; NaN if never.
+
+    Newton's method from the base outwards: r(s) rises towards the first meeting, and a whisker
+    that has turned back before it (dr/ds ≤ 0) or ended never gets there.
+    """
+    if rows.law is None:
+        return np.where(r <= 1 + 1e-12, r, np.nan), np.where(r <= 1 + 1e-12, 0.0, np.nan)
+    s, theta = np.minimum(r, 1.0), np.full_like(r, np.nan)
+    active = np.arange(r.size)
+    for _ in range(60):
+        law, arc = rows.take(active).law, s[active]
+        assert law is not None
+        x, y = law.point(arc)
+        turn = law.turn(arc)
+        distance = np.hypot(x, y)
+        miss = r[active] - distance
+        slope = (x * np.cos(turn) + y * np.sin(turn)) / distance
+        theta[active] = np.arctan2(y, x)
+        at_tip = (arc >= 1) & (miss > 0)
+        # The tips that `bend` finds, to its tolerance, are touched.
+        lost = (slope <= 1e-3) | (at_tip & (miss > 1e-9))
+        step = np.where(lost, 0.0, miss / np.where(lost, 1.0, slope))
+        done = (np.abs(miss) <= 4e-15 * r[active]) | at_tip
+        s[active] = np.where(lost, np.nan, np.minimum(arc + step, 1.0))
+        theta[active[lost]] = np.nan
+        active = active[~(done | lost)]
+        if not active.size:
+            break
+    return s, theta
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,74 +1,57 @@
-"""Branches of equilibria from rest to the fold, many at a time: what `curved_surface` is made of.
+"""Branches of equilibria, many at a time, from the whisker at rest to the fold.
 
-The equilibria of a contact at one place along the whisker are a curve in y: contact arc, force
-(in space along two directions) and push, the angle by which the whisker has been turned since it
-first touched. Along it the push rises up to the fold, in whatever direction the whisker leaves
-there. The curve is followed by steps along its tangent, on the whisker continued beyond its tip to
-the apex, and then solved for at the nodes of c = √(1 − push/fold) by Newton's method.
+The equilibria of a contact at one distance r are a curve in y = (contact arc, force, push), the
+push being the angle by which the whisker has been turned since it first touched. The curve is
+followed by steps along its tangent, with Newton's method across it, on the whisker continued beyond
+its tip to the apex. It ends in a fold, where the push turns back; where the contact comes to the
+tip; where the force comes down to zero again and a curved whisker lets go; or at once, where at
+this friction angle the object cannot move the contact at all.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .._util.values import Array, Index
-from ..whisker import Whisker
-from .beam import Path, Rows, follow_each
+from .._util.values import Array, Codes, Flags, Index
+from .beam import Path, Rows, follow_each, resolve, zero_load
 from .chebyshev import nodes
-from .continuation import zero_load
-from .rod import POISSON_RATIO, RodScenes
-from .shape import Profile
 
-#: Runge–Kutta steps a piece: relative errors of 1e-9, and 1e-7 at thin curved tips.
-STEPS = 12
+__all__ = [
+    "FOLD", "NO_MOVE", "REACHED", "TIP", "Branches", "NotFound", "Walk", "extended", "tangents",
+    "walk",
+]  # fmt: skip
+
+REACHED, FOLD, TIP, NO_MOVE = range(4)
+#: Steps along a branch, in its own units: the first, the longest, and the shortest, at which a walk
+#: gives up.
+FIRST, LONGEST, SHORTEST = 0.05, 0.25, 1e-5
+#: Relative error of a pass that is small beside a step.
+ROUGH = 1e-4
 
 
 class NotFound(Exception):
     """A fold that is not found."""
 
 
-#: The last thousandth of a perfect cone has no stiffness to speak of.
-THINNEST = 1e-3
-
-
-def taper_of(profile: Profile) -> float:
-    """1 − tip over base radius, of a tip that is no thinner than `THINNEST`."""
-    return max(1 - max(float(profile.radius[-1] / profile.radius[0]), THINNEST), 0.0)
-
-
-def extended(profile: Profile, offset: Array, beyond: float = 2.5) -> Rows:
-    """Rows of a whisker that is more curved by `offset` (n,), 1/m.
-
-    In units of length, base radius and stiffness, going on beyond the tip to the apex or `beyond`.
-    """
-    length, radius = float(profile.whisker.length), float(profile.whisker.base_radius)
-    arc, wide, core = profile.arc / length, profile.radius / radius, profile.core / radius
-    wide = np.append(wide[:-1], max(wide[-1], THINNEST))
-    slope = (wide[-1] - wide[-2]) / (arc[-1] - arc[-2])
-    end = beyond if slope >= 0 else min(1.0 - wide[-1] / slope, beyond)
-    if end > 1.0:
-        wide = np.append(wide[:-1], wide[-1] + slope * (end - 1.0))
-        arc = np.append(arc[:-1], end)
-        core = np.append(core[:-1], min(core[-1], 0.9 * wide[-1]))
-
-    def rows(table: Array) -> Array:
-        return np.repeat(np.maximum(table, 0.0)[:, None], offset.size, axis=1)
-
-    law = profile.law.scaled(np.asarray(length))
-    parts = {name: np.full(offset.size, float(value)) for name, value in vars(law).items()}
-    if np.any(offset):
-        parts["base"] = parts["base"] + offset * length
-    whole = rows(core) if np.any(profile.core > 0) else None
-    return Rows(rows(arc), rows(wide), whole, type(law)(**parts))
-
-
-def reach_of(rows: Rows) -> Array:
-    """Distance of the tip at rest, (n,)."""
-    assert rows.law is not None
-    return np.hypot(*rows.law.point(np.ones(rows.radius.shape[1])))
+def extended(rows: Rows, beyond: float = 2.5) -> Rows:
+    """The whiskers, going on beyond their tips to the apex, or to `beyond` lengths."""
+    gap = rows.arc[-1] - rows.arc[-2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.where(gap > 0, (rows.radius[-1] - rows.radius[-2]) / gap, 0.0)
+        apex = np.where(slope < 0, 1.0 - rows.radius[-1] / slope, beyond)
+    end = np.minimum(apex, beyond)
+    arc, radius = rows.arc.copy(), rows.radius.copy()
+    arc[-1], radius[-1] = end, np.maximum(radius[-1] + slope * (end - 1.0), 0.0)
+    core = None
+    if rows.core is not None:
+        core = rows.core.copy()
+        core[-1] = np.minimum(core[-1], 0.9 * radius[-1])
+    return Rows(arc, radius, core, rows.law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,75 +59,85 @@ class Branches:
     """Branches of n contacts at distances r (n,), in the plane of curvature and in one line.
 
     Points y (n, 3) are arc, force and push in units of `scale` (3, n), which shrink towards the
-    apex as folds do; `room` is what is left to the apex, `rest` the angle at first touch.
+    apex as folds do; `rest` is the angle at first touch, `stiff` (n,) the force of the unit push at
+    rest, or NaN where no force moves the contact, `last` the arc up to which branches are followed
+    (without one also past the force's end), `tolerance` that of each pass, or `steps` (n,) its
+    Runge–Kutta steps a piece.
     """
 
     #: Which signals are moments.
     moments: ClassVar[Array] = np.array([True, False, False])
     rows: Rows
     r: Array
-    room: Array
     friction: Array
     arc: Array
     rest: Array
+    scale: Array
+    stiff: Array
+    last: float
+    tolerance: float = 1e-9
+    goal: Array | float = np.inf
+    steps: NDArray[np.int64] | None = None
 
     @classmethod
-    def of(cls, rows: Rows, taper: float, r: Array, friction: Array) -> Branches:
-        """Those at distances and friction angles (n,)."""
-        room = 1 - taper * r / reach_of(rows)
-        return cls(rows, r, room, friction, *zero_load(rows, r))
+    def of(cls, rows: Rows, r: Array, friction: Array, last: float = 1.0) -> Branches:
+        """Those of whiskers that go on to the apex, at distances and friction angles (n,)."""
+        arc, rest = zero_load(rows, r)
+        path = resolve(rows, arc, np.zeros_like(r), friction, 1e-6)
+        r_s, r_f, t_s, t_f = path.jacobian()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            compliance = t_f - t_s * r_f / r_s
+        gaps = np.maximum(np.diff(rows.arc, axis=0), 1e-9)
+        place = np.clip((arc - rows.arc[:-1]) / gaps, 0, 1)
+        width = rows.radius[0] + (place * np.diff(rows.radius, axis=0)).sum(axis=0)
+        narrow = np.clip(width / rows.radius[0], 1e-6, 1.0)
+        stiff = narrow / np.where(compliance > 0, compliance, np.nan)
+        scale = np.stack([r * narrow, np.nan_to_num(stiff, nan=1.0), narrow])
+        return cls(rows, r, friction, arc, rest, scale, stiff, last)
 
     def take(self, index: Index) -> Self:
         """Some of them."""
-        parts = {k: v[..., index] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        mine = vars(self).items()
+        parts: dict[str, Any] = {k: v[..., index] for k, v in mine if isinstance(v, np.ndarray)}
         return replace(self, rows=self.rows.take(index), **parts)
 
     @property
     def size(self) -> int:
         """Numbers of a point."""
-        return 3
-
-    @property
-    def scale(self) -> Array:
-        """Sizes of arc, forces and push, (size, n)."""
-        force = 3 * self.room**2 / self.r**2
-        return np.stack([self.r * self.room, *(self.size - 2) * [force], self.room])
+        return len(self.scale)
 
     @property
     def start(self) -> Array:
         """The points at rest."""
         y = np.zeros((self.r.size, self.size))
-        y[:, 0] = self.arc / (self.r * self.room)
+        y[:, 0] = self.arc / self.scale[0]
         return y
 
-    def followed(self, arc: Array, force: Array) -> Path:
-        """The whiskers from their contacts to the base.
-
-        Near the apex, where 12 steps a piece were 3 % off at the fold, 36 are 4e-5 off.
-        """
-        steps = np.where(self.room < 0.02, 3 * STEPS, STEPS)
-        return follow_each(self.rows, arc, force, self.friction, steps)
+    def path(self, y: Array) -> Path:
+        """The whiskers from their contacts to the base."""
+        arc, force = y[:, :2].T * self.scale[:2]
+        if self.steps is not None:
+            return follow_each(self.rows, arc, force, self.friction, self.steps)
+        return resolve(self.rows, arc, force, self.friction, self.tolerance)
 
     def linear(self, y: Array) -> tuple[Array, Array]:
         """How far contacts are off their places, (n, size − 1), and minus its slopes to y."""
-        arc, force, push = y.T * self.scale
-        path = self.followed(arc, force)
+        path, push = self.path(y), y[:, 2] * self.scale[2]
         miss = np.stack([self.r - path.distance, self.rest + push - path.deflection])
         r_s, r_f, t_s, t_f = path.jacobian()
-        zero, one = np.zeros_like(arc), np.ones_like(arc)
+        zero, one = np.zeros_like(push), np.ones_like(push)
         slopes = np.array([[r_s, r_f, zero], [t_s, t_f, -one]]) * self.scale
-        unit = np.stack([self.r * self.room, self.room])
+        unit = self.scale[[0, 2]]
         return np.nan_to_num(miss / unit).T, (slopes / unit[:, None]).transpose(2, 0, 1)
 
     def signals(self, y: Array) -> Array:
         """Moment, axial and transverse force, (3, n)."""
-        arc, force, _ = y.T * self.scale
-        path = self.followed(arc, force)
+        path, force = self.path(y), y[:, 1] * self.scale[1]
         return force * np.stack([path.lever, np.sin(path.angle), np.cos(path.angle)])
 
     def onset(self) -> Array:
         """Unit tangents (n, size) at rest, of a growing push."""
-        tangent = _tangent(self.linear(self.start)[1])
+        tangent = tangents(self.linear(self.start)[1])
         return tangent * np.sign(tangent[:, -1:])
 
     # -- for every kind of branch --------------------------------------------------------------
@@ -161,58 +154,29 @@ class Branches:
             y = y + np.clip(step, -0.3, 0.3)
         return y, slopes, (np.abs(step) / np.maximum(np.abs(y), 1.0)).max(axis=1)
 
-    def folds(self, *, first: float = 0.05, longest: float = 0.25) -> Array:
-        """The points (n, size) of the folds.
-
-        By steps along the branch until the push falls, and the secant method in the last of them.
-        """
-        y = self.start
-        tangent = self.onset()
-        stride, left = np.full(len(y), first), np.arange(len(y))
-        for _ in range(200):
-            part, h, here, along = self.take(left), stride[left], y[left], tangent[left]
-            there, after, size = part.ahead(here, along, h, 2)
-            good = (size < 1e-3) & ((after * along).sum(axis=1) > 0.97)
-            over = good & (after[:, -1] < 0)
-            most = longest * np.maximum(np.abs(there[:, 1:]).max(axis=1), 1.0)
-            stride[left] = np.where(over, h, np.where(good, np.minimum(1.3 * h, most), h / 2))
-            on = (good & ~over)[:, None]
-            y[left], tangent[left] = np.where(on, there, here), np.where(on, after, along)
-            left = left[~over]
-            if not left.size:
-                break
-            if np.min(stride[left]) < 1e-4:
-                raise NotFound
-        if left.size:
-            raise NotFound
-        # The last step was over by rougher tangents: by better ones it may all but be.
-        low, high, at = np.zeros_like(stride), 1.05 * stride, stride
-        at_low, at_high = tangent[:, -1], np.full_like(stride, np.nan)
-        for i in range(8):
-            point, after, _ = self.ahead(y, tangent, at, 3)
-            slope = after[:, -1]
-            rising = slope > 0
-            low, at_low = np.where(rising, at, low), np.where(rising, slope, at_low)
-            high, at_high = np.where(rising, high, at), np.where(rising, at_high, slope)
-            if np.max(np.abs(slope)) < 1e-5:  # pushes are then known to its square
-                break
-            share = np.where(np.isnan(at_high), 1.0, at_low / (at_low - at_high))
-            if i % 3 == 2:  # lest one end stay where it is
-                share = np.clip(share, 0.05, 0.95)
-            at = low + (high - low) * share
-        return point
-
     def ahead(self, y: Array, along: Array, h: Array, steps: int) -> tuple[Array, Array, Array]:
         """The points a step h (n,) along a tangent, their tangents, and the last step to them."""
         there, slopes, size = self.corrected(y + h[:, None] * along, along, steps)
-        after = _tangent(slopes)
+        after = tangents(slopes)
         return there, after * np.sign((after * along).sum(axis=1))[:, None], size
 
-    def tabled(self, end: Array, across: int) -> Array:
-        """Signals and, last, the arc, (across, n, S + 1), at the nodes from the fold to rest.
+    def room(self, y: Array) -> Array:
+        """How far contacts are from the last place that they may come to, (n,)."""
+        return self.last / self.scale[0] - y[:, 0]
 
-        Signals are over the small-angle lateral force 3 push · room/r², moments over its moment;
-        the arc is over r. By Newton's method, each node from those before and from the fold.
+    def ends(self, y: Array, along: Array) -> Array:
+        """What falls through zero where branches end, (n,): slope of push, room or force."""
+        out = np.minimum(along[:, -1], self.room(y))
+        return np.minimum(out, y[:, 1]) if np.isfinite(self.last) else out
+
+    def short(self, y: Array, _along: Array) -> Array:
+        """What pushes lack of `goal`, (n,)."""
+        return self.goal - y[:, -1]
+
+    def tabled(self, end: Array, across: int) -> tuple[Array, Array, Array]:
+        """Signals (across, S, n), arcs and pushes (across, n) at the nodes from the fold to rest.
+
+        By Newton's method, each node from those before and from the fold.
         """
         tangent = self.onset()
         pace = tangent / tangent[:, -1:]
@@ -221,7 +185,7 @@ class Branches:
             return np.concatenate([y[:, :1], y[:, 1:-1] / y[:, -1:]], axis=1)
 
         known = [over(end), np.concatenate([self.start[:, :1], pace[:, 1:-1]], axis=1)]
-        cs, out = [0.0, 1.0], np.empty((across, self.r.size, len(self.moments) + 1))
+        cs, points = [0.0, 1.0], np.empty((across, *end.shape))
         for j, c in list(enumerate(nodes(across)))[::-1]:
             near = [0, *range(len(cs) - 1, 0, -1)[:6]]
             guess = sum(
@@ -239,75 +203,134 @@ class Branches:
                 raise NotFound
             cs.append(float(c))
             known.append(over(y))
-            lateral = 3 * push * self.room**2 / self.r**2
-            unit = lateral * np.where(self.moments[:, None], self.r, 1.0)
-            out[j] = np.vstack([self.signals(y) / unit, y[:, 0] * self.room]).T
-        return out
+            points[j] = y
+        signals = np.stack([self.signals(y) for y in points])
+        arcs, pushes = points[..., 0] * self.scale[0], points[..., -1] * self.scale[-1]
+        return signals, arcs, pushes
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceBranches(Branches):
-    """The same in space: two forces, six signals; pushed to an azimuth (n,)."""
+class Walk:
+    """Where walks ended: the points (n, size), why, and where the moment was largest.
 
-    moments: ClassVar[Array] = np.array([False, False, False, True, True, True])
-    scenes: RodScenes
-    azimuth: Array
+    What has not `stopped` was given up.
+    """
 
-    @classmethod
-    def around(
-        cls, rows: Rows, taper: float, r: Array, azimuth: Array, friction: Array, whisker: Whisker
-    ) -> SpaceBranches:
-        """Those at distances, azimuths and friction angles (n,)."""
-        none, one, twist = np.zeros(r.size), np.ones(r.size), 1 + POISSON_RATIO
-        flat = vars(Branches.of(rows, taper, r, friction))
-        scenes = RodScenes(rows, (r.size,), one, one, friction, none, twist, whisker)
-        return cls(**flat, scenes=scenes, azimuth=azimuth)
-
-    def take(self, index: Index) -> Self:
-        return replace(super().take(index), scenes=self.scenes.take(index))
-
-    @property
-    def size(self) -> int:
-        return 4
-
-    def linear(self, y: Array) -> tuple[Array, Array]:
-        rest, aside = circle(self.rest, self.azimuth)
-        push, unit = y[:, 3] * self.room, self.r * self.room
-        there = rest * np.cos(push) + aside * np.sin(push)
-        forces = y[:, :3].T * self.scale[:3]
-        miss, slopes, _ = self.scenes._slopes(forces, self.r * there, STEPS)
-        out = np.empty((len(y), 3, 4))
-        out[..., :3] = slopes * (self.scale[:3] / unit).T[:, None]
-        out[..., 3] = (rest * np.sin(push) - aside * np.cos(push)).T
-        return np.nan_to_num(miss / unit).T, out
-
-    def onset(self) -> Array:
-        if not self.friction.any():
-            return super().onset()
-        # The size of friction has a cusp at no force, and no slopes there.
-        _, aside = circle(self.rest, self.azimuth)
-        v = self.start[:, :3].T * self.scale[:3]
-        pace = self.scenes.onset(v, self.r, self.r * aside)
-        if not np.all(np.isfinite(pace) & (np.abs(pace).max(axis=0) > 0)):
-            raise NotFound
-        out = np.concatenate([pace / self.scale[:3], 1 / self.scale[3:]]).T
-        return out / np.linalg.norm(out, axis=1, keepdims=True)
-
-    def signals(self, y: Array) -> Array:
-        base = self.scenes.follow(y[:, :3].T * self.scale[:3], STEPS)
-        return (base.signals().T * [-1, 1, 1, 1, 1, 1]).T
+    point: Array
+    end: Codes
+    peak: Array
+    stopped: Flags
 
 
-def circle(angle: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Where the whisker at rest touches, and whither it is pushed: unit vectors (3, n)."""
-    zero = np.zeros_like(angle)
-    rest = np.stack([np.cos(angle), np.sin(angle), zero])
-    aside = np.stack([-np.sin(angle), np.cos(angle), zero]) * np.cos(azimuth)
-    aside[2] = np.sin(azimuth)
-    return rest, aside
+#: A quantity that falls through zero on the way along branches, at points and their tangents.
+Measure = Callable[[Branches, Array, Array], Array]
 
 
-def _tangent(slopes: Array) -> Array:
+@np.errstate(all="ignore")
+def walk(branches: Branches, target: Array, *, peaks: bool = False) -> Walk:
+    """Follow branches from rest to the pushes `target` (n,), rad or infinite, or to their ends.
+
+    With `peaks` the largest moment on the way is found as well.
+    """
+    n, goal = branches.r.size, target / branches.scale[-1]
+    rough = replace(branches, tolerance=max(branches.tolerance, ROUGH))
+    y, end = branches.start, np.full(n, FOLD, dtype=np.int8)
+    end[~(branches.stiff > 0)] = NO_MOVE
+    end[(end == FOLD) & (branches.arc >= branches.last * (1 - 1e-12))] = TIP
+    stride, stopped, climbs = np.full(n, FIRST), np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
+    tangent, before, height = np.zeros_like(y), np.zeros((2, *y.shape)), np.zeros(n)
+    highest = np.zeros(n)
+    left = np.flatnonzero(end == FOLD)
+    if left.size:
+        tangent[left] = rough.take(left).onset()
+    for _ in range(400):
+        if not left.size:
+            break
+        part, h, here, along = rough.take(left), stride[left], y[left], tangent[left]
+        there, after, size = part.ahead(here, along, h, 2)
+        rise = np.maximum(along[:, -1], 0.0) * h
+        good = (size < 1e-3) & ((after * along).sum(axis=1) > 0.97)
+        stops = good & ((part.ends(there, after) < 0) | (there[:, -1] >= goal[left]))
+        if peaks:
+            falls = good & climbs[left] & (moment_slope(part, there, after) < 0)
+            before[:, left[falls]] = here[falls], along[falls]
+            height[left[falls]], climbs[left[falls]] = h[falls], False
+        on = good & ~stops
+        y[left[on]], tangent[left[on]], stopped[left[stops]] = there[on], after[on], True
+        most = LONGEST * np.maximum(np.abs(there[:, 1:]).max(axis=1), 1.0)
+        next_ = np.where(good, np.minimum(1.3 * h, most), h / 2)
+        # The last step was over by rougher passes: by better ones it may all but be.
+        stride[left] = np.where(stops, 1.02 * h, next_)
+        # The highest push that the last step can hold; the end, if that is below the goal.
+        highest[left] = np.maximum(here, there)[:, -1] + 2 * rise
+        beyond, turned = part.room(there) < 0, after[:, -1] < 0
+        highest[left[beyond & turned]] = np.inf
+        end[left[stops & beyond]] = TIP
+        left = left[~stops & (next_ >= SHORTEST)]
+    point, at = y.copy(), np.flatnonzero(stopped & ((highest >= goal) | np.isinf(goal)))
+    if at.size:
+        part, wanted = branches.take(at), goal[at]
+        found, along, h = root(part, y[at], tangent[at], stride[at], Branches.ends)
+        tips = part.room(found) < np.minimum(np.abs(along[:, -1]), np.abs(found[:, 1]))
+        end[at] = np.where(tips, TIP, FOLD)
+        inside = found[:, -1] >= wanted
+        hits, point[at] = at[inside], found
+        end[hits] = REACHED
+        if hits.size:
+            part = replace(branches.take(hits), goal=wanted[inside])
+            point[hits] = root(part, y[hits], tangent[hits], h[inside], Branches.short)[0]
+    peak, tops = point.copy(), np.flatnonzero(~climbs)
+    if tops.size:
+        part = branches.take(tops)
+        found = root(part, before[0, tops], before[1, tops], height[tops], moment_slope)[0]
+        early = found[:, -1] < point[tops, -1]  # the tip may come before
+        peak[tops[early]] = found[early]
+    return Walk(point, end, peak, stopped)
+
+
+def root(
+    branches: Branches, y: Array, along: Array, h: Array, measure: Measure
+) -> tuple[Array, Array, Array]:
+    """Points, tangents and steps from y, of at most h (n,), at which a measure falls to zero.
+
+    By the secant method in a bracket (Illinois), each point from the tangent at the one before.
+    Where the measure has not fallen by h, they are those of h.
+    """
+    low, high, at, at_low = np.zeros_like(h), h.copy(), h.copy(), measure(branches, y, along)
+    point, after, _ = branches.ahead(y, along, h, 3)
+    at_high, side = measure(branches, point, after), np.zeros_like(h)
+    left = np.flatnonzero(at_high < 0)
+    for i in range(40):
+        if not left.size:
+            break
+        part, a, b, base = branches.take(left), at_low[left], at_high[left], along[left]
+        there = low[left] + (high - low)[left] * np.clip(a / (a - b), 1e-3, 1 - 1e-3)
+        pace = after[left] / (after[left] * base).sum(axis=1, keepdims=True)
+        start = point[left] + (there - at[left])[:, None] * pace
+        point[left], slopes, size = part.corrected(start, base, 3 if i < 2 else 1)
+        new = tangents(slopes)
+        after[left] = new * np.sign((new * base).sum(axis=1))[:, None]
+        at[left], value = there, measure(part, point[left], after[left])
+        up = value > 0
+        low[left] = np.where(up, there, low[left])
+        high[left] = np.where(up, high[left], there)
+        again = side[left] == np.where(up, 1, -1)
+        at_low[left] = np.where(up, value, np.where(again, a / 2, a))
+        at_high[left] = np.where(up, np.where(again, b / 2, b), value)
+        side[left] = np.where(up, 1, -1)
+        near = (np.abs(value) < 1e-11) | ((high - low)[left] < 1e-12)
+        left = left[~(near & (size < 1e-8))]
+    return point, after, at
+
+
+def moment_slope(branches: Branches, y: Array, along: Array) -> Array:
+    """dM along a branch in its plane, (n,)."""
+    path, (arc, force) = branches.path(y), along[:, :2].T * branches.scale[:2]
+    d_lever = path.d_arc[1] * arc + path.d_force[1] * force
+    return np.asarray(force * path.lever + y[:, 1] * branches.scale[1] * d_lever)
+
+
+def tangents(slopes: Array) -> Array:
     """Unit vectors (n, k + 1) that slopes (n, k, k + 1) take to nothing."""
     size = slopes.shape[2]
     minors = [np.linalg.det(np.delete(slopes, k, axis=2)) * (-1) ** k for k in range(size)]

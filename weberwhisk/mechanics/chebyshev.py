@@ -20,6 +20,11 @@ from numpy.polynomial import chebyshev
 
 from .._util.values import Array
 
+__all__ = [
+    "ChebyshevTable", "Curve", "basis", "fit", "load_cap", "nodes", "place_of", "product",
+    "the_map", "unfold",
+]  # fmt: skip
+
 
 def nodes(n: int) -> Array:
     """The `n` Chebyshev points of the first kind on [0, 1], ascending, without the ends."""

@@ -20,6 +20,10 @@ from ..whisker import Whisker
 from .contact import Bending, Model, Outcome
 from .elastica import beyond_tip, by_rows
 
+__all__ = [
+    "bend", "contact_from_signals", "distance_from_moment", "moment", "press", "signal_jacobian",
+]  # fmt: skip
+
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     """Bend a straight whisker by a force (N) at an arc length (m), at small angle.

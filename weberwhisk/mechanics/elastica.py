@@ -25,6 +25,11 @@ from ..whisker import Whisker
 from .chebyshev import Curve, fit, load_cap, nodes, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, FlickPast, Model, Outcome, bending
 
+__all__ = [
+    "Surface", "bend", "beyond_tip", "by_rows", "flick_past", "in_pieces", "press",
+    "signal_jacobian", "surface_of",
+]  # fmt: skip
+
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
 MAP_ERROR = 1e-12
 #: Rows solved at a time: pieces that fit the cache halve the time of large calls.

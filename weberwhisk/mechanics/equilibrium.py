@@ -15,11 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._util.values import Array, Codes, Flags, Index, member
 from ..whisker import Whisker
-from .beam import Path, Rows, follow_each, needed, rows_of
+from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
+from .branches import FOLD, NO_MOVE, REACHED, TIP, Branches, extended, walk
 from .chebyshev import ChebyshevTable, Curve, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
-from .continuation import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .shape import Profile
+
+__all__ = [
+    "ROUNDING", "Scenes", "Solved", "at_points", "by_rows", "common_shape", "in_order",
+    "numbers_of", "on_whisker", "press_rows", "signal_error", "signal_slopes",
+]  # fmt: skip
 
 Solved = tuple[Array, Codes, Array]
 
@@ -132,8 +137,9 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
 
     hard = np.flatnonzero(~found)
     if hard.size:
-        branch = Branch.of(part.take(hard), distance[hard], psi_[hard], start[hard], tolerance)
-        ended = walk(branch, angle[hard])
+        branch = Branches.of(extended(part.take(hard)), distance[hard], psi_[hard])
+        branch = replace(branch, tolerance=tolerance)
+        ended = walk(branch, angle[hard] - branch.rest)
         values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard], angle[hard])
         outcome[good[hard]] = np.select(
             [ended.end == REACHED, ended.end == TIP, ended.end == NO_MOVE],
@@ -258,18 +264,21 @@ def _winds(rows: Rows, most: float = 1.5) -> Flags:
 
 
 def at_points(
-    branch: Branch, v: Array, sign: Array, goal: Array | None = None
+    branches: Branches, y: Array, sign: Array, goal: Array | None = None
 ) -> tuple[Array, Array]:
     """The eight numbers and the error at points of branches, with `goal` for deflection angle."""
-    off, path = branch.onto(branch.path(v, branch.tolerance), v[0] * branch.unit * branch.r >= 1)
-    arc, force = branch.contact(v + off)
+    path, (arc, force) = branches.path(y), y[:, :2].T * branches.scale[:2]
+    arc = np.minimum(arc, 1.0)
+    missed = np.zeros_like(path.errors)
+    missed[1] = np.abs(path.distance / branches.r - 1)
     if goal is not None:
-        missed = np.stack([np.abs(goal - path.deflection), np.zeros_like(goal)])
-        path = replace(path, errors=path.errors + missed)
+        missed[0] = np.abs(goal - path.deflection)
+    path = replace(path, errors=path.errors + missed)
     error = signal_error(path, force, given_contact=True)
     # At a fold signals go as the square root of what is left of the angle: no worse than that.
     error = np.minimum(error, 3 * np.sqrt(path.error))
-    return numbers_of(path.angle, path.lever, path.along, arc, force, branch.friction, sign), error
+    numbers = numbers_of(path.angle, path.lever, path.along, arc, force, branches.friction, sign)
+    return numbers, error
 
 
 def signal_error(path: Path, force: Array, *, given_contact: bool) -> Array:

@@ -1,7 +1,7 @@
 """From a contact to the base signals of one whisker, whatever the whisker and the contact are like.
 
-Cues ask here: for the elastica's `Surface` of a straight whisker, the `PlanarSurface` or
-`SpaceSurface` of any other, or a model that is named.
+Cues ask here: for the elastica's `Surface` of a straight whisker, the `CurvedSurface`
+of any other, or a model that is named.
 
 A contact is given by its radial distance and its *deflection from rest*: how far the whisker has
 been turned since it first touched at that distance. On a straight whisker that is the deflection
@@ -38,14 +38,14 @@ from .._util.checks import angle, positive, refuse_hinge
 from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
-from .beam import rows_of
-from .branches import THINNEST
+from .beam import rows_of, zero_load
 from .contact import Outcome
-from .continuation import zero_load
-from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
+from .curved_surface import THINNEST, CurvedSurface, curved_surface, more_curved, pressed
 from .elastica import Surface, in_pieces, surface_of
 from .profile import rest_angle
-from .shape import Profile, Spiral
+from .shape import Profile
+
+__all__ = ["FRICTION_COEFFICIENT", "ForwardModel", "forward_of"]
 
 NAMES = ("moment", "axial_force", "transverse_force")
 #: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
@@ -65,8 +65,8 @@ class ForwardModel(Value):
     The `friction` angle (rad, as in `press`), the `offset` added to the curvature at rest (1/m) and
     the stiffness of the `hinge` (N m/rad, by default the whisker's own) are numbers or arrays that
     broadcast with the contacts; their ranges are those that tables cover. With an `azimuth`, rad,
-    from the side that the whisker curves to, contacts are in space (see `SpaceSurface`); by default
-    they are in the plane of curvature, on that side.
+    from the side that the whisker curves to, contacts are in space (see `CurvedSurface`); without
+    one they are in the plane of curvature, on that side.
 
     Examples
     --------
@@ -163,13 +163,13 @@ class ForwardModel(Value):
         return known and isinstance(self.whisker, Whisker)
 
     @cached_property
-    def surface(self) -> Surface | PlanarSurface | SpaceSurface:
+    def surface(self) -> Surface | CurvedSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            return space_surface(self.whisker, self.friction_range, self.offset_range)
+            return curved_surface(self.whisker, self.friction_range, self.offset_range, True)
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
-        return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
+        return curved_surface(self.clamped.whisker, self.friction_range, self.offset_range)
 
     @property
     def error(self) -> float:
@@ -245,17 +245,13 @@ class ForwardModel(Value):
 
     def _at_rest(self, offset: Array) -> Profile:
         """The clamped whisker, more curved by offsets (n,) or (1,), 1/m."""
-        profile = Profile.of(self.clamped.whisker)
-        if not np.any(offset):
-            return profile
-        assert isinstance(profile.law, Spiral)
-        return profile.curved(Spiral(profile.law.base + offset, profile.law.rate + 0 * offset))
+        return more_curved(Profile.of(self.clamped.whisker), offset)
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
         if self.azimuth is not None:
             shape, (*given, _) = self._rows(r, self.azimuth)
-            limit: Any = self.surface.limit  # of a `SpaceSurface`
+            limit: Any = self.surface.limit  # of a `CurvedSurface`
             return np.asarray(in_pieces(limit, *given)).reshape(shape)
         shape, (flat, psi, kappa, compliance) = self._rows(r)
         if self.is_hinged:
@@ -300,7 +296,7 @@ class ForwardModel(Value):
         return inner.reshape(shape), falls.reshape(shape)
 
     def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, Codes]:
-        """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
+        """The `SIX` signals (..., 6) in space, NaN where not held, and outcome (...).
 
         At `azimuth`: by the table or, where the model is "rod", one by one.
         """

@@ -36,8 +36,8 @@ __all__ = ["Choice", "Chosen", "choose_model", "chosen", "note", "of_shape_at_re
 
 NAMES = ("moment", "axial_force", "transverse_force")
 
-#: Rows of the base signals that a cue can feel; a rate at a given speed is as good.
-_ROWS = {"moment": 0, "moment_rate": 0, "axial_force": 1, "transverse_force": 2}
+#: The base signal that each signal of a cue is judged by: a rate at a given speed is as good.
+_SENSED = {name: name for name in NAMES} | {"moment_rate": "moment"}
 _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
 #: The unit of a bias that is not judged against any noise.
 SIGNAL_UNIT = "of a signal"
@@ -173,7 +173,7 @@ def choose_model(
     theta = np.broadcast_to(_pushed(whisker, r, theta, turn), shape)
     top = np.broadcast_to(_top(whisker, tilt, turn), shape)
     scene = whisker, r, theta, tilt, turn
-    error, off = _biases(scene, top, [_ROWS[name] for name in names], unknowns)
+    error, off = _biases(scene, top, [NAMES.index(_SENSED[name]) for name in names], unknowns)
     bias = error if weber_fraction is None else off / k
     model = np.argmax(bias <= allowed, axis=0).astype(np.int8)
     return Choice(
@@ -190,9 +190,9 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
     if cue is None:
         return ("moment",), False
     names, unknowns = tuple(cue.signal_names), tuple(cue.unknowns)
-    if not set(names) <= set(_ROWS) or unknowns not in _UNKNOWNS or len(names) < len(unknowns):
+    if not set(names) <= set(_SENSED) or unknowns not in _UNKNOWNS or len(names) < len(unknowns):
         raise ValueError(
-            f"The ladder judges cues of {', '.join(_ROWS)} with no more unknowns "
+            f"A model is chosen for cues of {', '.join(_SENSED)} with no more unknowns "
             f"(radial_distance, deflection_angle) than signals, got {', '.join(names)} for "
             f"{', '.join(unknowns)}; write cue=weberwhisk.cues.ForceMap()."
         )

@@ -25,6 +25,8 @@ from .._util.values import Array, Line
 from ..whisker import Whisker
 from .shape import Profile
 
+__all__ = ["BASIS", "Modes", "basis", "gauss", "modes", "one_profile", "ritz"]
+
 BASIS = 60
 
 

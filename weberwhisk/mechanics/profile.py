@@ -3,7 +3,7 @@
 The whisker is followed from the contact to the base (`beam`), so that bending by a given
 force needs no root. Pressing against a point is Newton's method in contact arc and force on the
 pass's own derivatives; what it finds is taken only where the pass proves it stable, and the rest
-is walked along its branch from zero load (`branch`), which ends at a fold or at the tip.
+is walked along its branch from zero load (`branches`), which ends at a fold or at the tip.
 
 Signs: a positive force pushes the whisker towards +y, positive curvature bends it the same way at
 rest, so positive curvature with a positive force is contact on the convex side, negative curvature
@@ -15,15 +15,17 @@ is negative. The sign of the friction angle does not depend on the side.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import positive
 from .._util.values import Array
 from ..whisker import Whisker
-from .beam import Rows, resolve
+from .beam import Rows, resolve, zero_load
+from .branches import NO_MOVE, TIP, Branches, extended, walk
 from .contact import TOLERANCE, Bending, FlickPast, Outcome
-from .continuation import NO_MOVE, TIP, Branch, walk, zero_load
 from .equilibrium import (
     Scenes,
     Solved,
@@ -37,6 +39,8 @@ from .equilibrium import (
     signal_slopes,
 )
 from .shape import Profile
+
+__all__ = ["bend", "flick_past", "press", "rest_angle", "signal_jacobian"]
 
 _METRES = "give metres, such as 35e-3"
 
@@ -222,7 +226,8 @@ def flick_past(
         good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
         if not good.size:
             continue
-        branch = Branch.of(rows.take(good), distance[good], psi[good], start[good], tolerance)
+        branch = Branches.of(extended(rows.take(good)), distance[good], psi[good])
+        branch = replace(branch, tolerance=tolerance)
         ended = walk(branch, np.full(good.size, np.inf), peaks=True)
         which = np.arange(n)[part][good]
         for i, (numbers, point) in enumerate(((at_end, ended.point), (at_peak, ended.peak))):

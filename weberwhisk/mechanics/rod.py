@@ -24,11 +24,12 @@ from numpy.typing import ArrayLike
 from .._util.checks import finite, positive
 from .._util.values import Array, Codes, Fields, Flags, Index
 from ..whisker import Whisker
-from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
+from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot, zero_load
 from .contact import TOLERANCE, Model, Outcome, friction
-from .continuation import zero_load
 from .equilibrium import ROUNDING, Scenes, on_whisker
 from .shape import Profile
+
+__all__ = ["POISSON_RATIO", "RodBending", "RodScenes", "bend", "press"]
 
 _METRES = "give metres, such as 35e-3"
 #: Of keratin; sets the torsional stiffness.

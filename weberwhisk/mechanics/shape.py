@@ -17,6 +17,8 @@ from .._util.checks import finite, kind, non_negative, positive, refuse_hinge
 from .._util.values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 
+__all__ = ["Law", "Parabola", "Profile", "Spiral", "bent_shape"]
+
 _METRES = "give metres, such as 5e-3"
 _TABLES = ("arc", "radius", "core")
 _PER_METRE = "give 1/m, such as 20, or 0 for none"

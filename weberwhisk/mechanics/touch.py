@@ -19,6 +19,8 @@ from .beam import follow, pilot, rows_of
 from .contact import Outcome
 from .shape import Profile, bent_shape
 
+__all__ = ["Body", "Touch", "TouchedBody", "cylinder", "peg", "wall"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Body(Fields):

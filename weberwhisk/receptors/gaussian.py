@@ -16,6 +16,8 @@ from .._util.checks import non_negative, number, numbers, positive
 from .._util.values import Array, Flags
 from .protocol import ReceptorNoise, Seed
 
+__all__ = ["Gaussian", "GeneralisedWeber", "Proportional", "Saturating", "Weber"]
+
 
 class Gaussian(ReceptorNoise):
     """Independent or equally correlated Gaussian noise whose sd depends on the signal."""

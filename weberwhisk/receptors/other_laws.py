@@ -13,6 +13,8 @@ from .._util.values import Array, Flags, Index
 from .gaussian import Gaussian, Proportional
 from .protocol import ReceptorNoise, Seed
 
+__all__ = ["Events", "LogNormal"]
+
 #: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
 _SIDE = 1e5
 

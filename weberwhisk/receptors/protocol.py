@@ -29,6 +29,8 @@ from numpy.typing import ArrayLike
 from .._util.checks import several, shown, whole
 from .._util.values import Array, Flags, Seed, Value
 
+__all__ = ["Component", "Joint", "ReceptorNoise", "Seed"]
+
 
 class Component(NamedTuple):
     """One independent part of a noise model, and where its signals and readings stand."""

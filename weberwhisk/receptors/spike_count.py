@@ -13,6 +13,8 @@ from .._util.checks import non_negative_number, positive, positive_number, shown
 from .._util.values import Array, Value
 from .protocol import ReceptorNoise, Seed
 
+__all__ = ["Afferents", "SpikeCount"]
+
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Afferents(Value):
