@@ -65,7 +65,7 @@ def friction(amount: Any, r: Any, push: Any) -> tuple[Any, Any]:
 def curvature(amount: Any, r: Any, push: Any) -> tuple[Any, Any]:
     """Positive towards the push: contact on the convex side."""
     whisker = ww.Whisker(*list(vars(WHISKER).values())[:4], curvature=amount)
-    b = ww.press(whisker, r, ww.rest_angle(whisker, r) + push)
+    b = ww.press(whisker, r, ww.mechanics.rest_angle(whisker, r) + push)
     return b.moment, b.axial_force
 
 

@@ -80,7 +80,9 @@ class Kind:
         straight = ww.Whisker.from_identity(identity)
         if not self.bow:
             return straight
-        return ww.Profile.of(straight).curved(ww.Parabola(self.bow / straight.length))
+        return ww.mechanics.Profile.of(straight).curved(
+            ww.mechanics.Parabola(self.bow / straight.length)
+        )
 
 
 KINDS = (
@@ -126,7 +128,7 @@ class Contacts:
             weber_fraction=k, tolerance=TOLERANCE,
         )  # fmt: skip
 
-    def press(self, model: Any = None) -> ww.Bending:
+    def press(self, model: Any = None) -> ww.mechanics.Bending:
         """By a model; without one by the lowest that has all there is."""
         if model is not None:
             scene = self.whisker, self.distance, self.angle, self.friction, self.roll
@@ -162,16 +164,18 @@ def rotations(samples: int) -> Array:
 
 def body(kind: Kind, whisker: Any, name: str, at: int) -> ww.mechanics.Body:
     """The object, touched by the resting whisker at rotation 0."""
-    length = ww.Profile.of(whisker).whisker.length if kind.bow == 0 else whisker.whisker.length
+    length = (
+        ww.mechanics.Profile.of(whisker).whisker.length if kind.bow == 0 else whisker.whisker.length
+    )
     r = (1.0 if name == "wall" else PLACES[at]) * length
     if name == "wall" and kind.bow:
         # Where the curve ends: its tip lies nearer to the base than its length.
         low, high = 0.5 * length, length
         for _ in range(60):
             r = (low + high) / 2
-            low, high = (r, high) if np.isfinite(ww.rest_angle(whisker, r)) else (low, r)
+            low, high = (r, high) if np.isfinite(ww.mechanics.rest_angle(whisker, r)) else (low, r)
         r = low
-    rest = float(ww.rest_angle(whisker, r))
+    rest = float(ww.mechanics.rest_angle(whisker, r))
     x, y = r * np.cos(rest), r * np.sin(rest)
     slope = np.arctan(2 * kind.bow / length * x)
     if name == "peg":
@@ -189,12 +193,14 @@ def contacts(kind: Kind, identity: str, name: str, size: Size) -> Contacts:
     for at in size.places:
         if kind.roll:  # a peg: distance and height stay, the azimuth turns
             r = PLACES[at] * whisker.whisker.length
-            rest = float(ww.rest_angle(whisker, r))
+            rest = float(ww.mechanics.rest_angle(whisker, r))
             first = np.arctan2(np.sin(rest) * np.cos(kind.roll), np.cos(rest))
             b = ww.press(whisker, r, first + turned, kind.friction, roll=kind.roll)
         else:
             angles = np.concatenate([[-0.02], turned])
-            b = ww.sweep(whisker, body(kind, whisker, name, at), angles, kind.friction).bending
+            b = ww.mechanics.sweep(
+                whisker, body(kind, whisker, name, at), angles, kind.friction
+            ).bending
         held = np.asarray(b.held)
         # A force on the tip is normal to the object: what tilts it there is as good as friction.
         tilt = np.arctan2(b.axial_force, b.transverse_force) - b.contact_angle
@@ -206,7 +212,7 @@ def contacts(kind: Kind, identity: str, name: str, size: Size) -> Contacts:
     return Contacts(whisker, r, theta, tilt, kind.roll)
 
 
-def bias(true: ww.Bending, found: ww.Bending, k: float) -> Array:
+def bias(true: ww.mechanics.Bending, found: ww.mechanics.Bending, k: float) -> Array:
     """Bias of the inferred distance in JNDs; infinite where a model finds no contact."""
     off = np.abs(found.moment / true.moment - 1) / k
     return np.where(found.held, off, np.inf)
@@ -221,12 +227,12 @@ def summary(off: Array) -> dict[str, float]:
 
 
 def used_throughout(
-    group: Contacts, true: ww.Bending, rung: ww.Model, rods: int
+    group: Contacts, true: ww.mechanics.Bending, rung: ww.mechanics.Model, rods: int
 ) -> tuple[Array, float]:
     """Biases at k = 1 and seconds a contact of one model, whatever the scene."""
     # The rod is dear, and a check of the planar beam in the plane.
     part, exact = group, true
-    if rung is ww.Model.ROD and not group.roll:
+    if rung is ww.mechanics.Model.ROD and not group.roll:
         part = group.some(rods)
         exact = part.press()
     bent, seconds = timed(lambda: part.press(rung))
@@ -248,7 +254,7 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
             rung: [
                 used_throughout(g, b, rung, size.rods) for g, b in zip(groups, true, strict=True)
             ]
-            for rung in ww.Model
+            for rung in ww.mechanics.Model
         }
         for k in WEBER_FRACTIONS:
             here = {"whisker": kind.name, "object": name, "weber_fraction": k}
@@ -269,7 +275,10 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
             ladder.append(
                 here
                 | {"contacts": sum(group.distance.size for group in met)}
-                | {n: float(np.mean(needed == r)) for n, r in zip(NAMES, ww.Model, strict=True)}
+                | {
+                    n: float(np.mean(needed == r))
+                    for n, r in zip(NAMES, ww.mechanics.Model, strict=True)
+                }
                 | summary(off)
                 | {
                     "seconds_choosing": choice_cost,

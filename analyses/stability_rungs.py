@@ -65,12 +65,14 @@ def _scene(case: Case) -> tuple[ww.Whisker, Beams, Array, Array, Array]:
     return whisker, beams, r, np.clip(theta, -np.pi, np.pi), friction  # `press` refuses more
 
 
-def _press(whisker: ww.Whisker, rung: str, r: Array, theta: Array, friction: Array) -> ww.Bending:
+def _press(
+    whisker: ww.Whisker, rung: str, r: Array, theta: Array, friction: Array
+) -> ww.mechanics.Bending:
     return ww.press(whisker, r, theta, friction, model=rung)
 
 
 def answered(
-    bent: ww.Bending | RodBending, exists: Array, error: Array, own: Array
+    bent: ww.mechanics.Bending | RodBending, exists: Array, error: Array, own: Array
 ) -> tuple[Array, Array, Array]:
     """Fates of what is held where something is, ln of true over admitted error, what is hopeless.
 
@@ -93,7 +95,7 @@ def answered(
 def told(
     fate: Array,
     excess: Array,
-    bent: ww.Bending | RodBending,
+    bent: ww.mechanics.Bending | RodBending,
     exists: Array,
     error: Array,
     reference: Array,

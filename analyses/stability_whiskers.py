@@ -29,9 +29,9 @@ from scipy.special import expit, log_expit, logit, ndtr
 from stability_posteriors import Sums, distance_sums
 
 import weberwhisk as ww
-from weberwhisk import Observer, Posterior, Status, Whisker, cues, domain, receptors
+from weberwhisk import Observer, Status, Whisker, cues, domain, receptors
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.inference import default_noise
+from weberwhisk.inference import Posterior, default_noise
 
 Array = np.ndarray
 Case = dict[str, Array]

@@ -9,7 +9,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from weberwhisk import Outcome, Profile, Whisker, press, rest_angle
+from weberwhisk import Outcome, Whisker, press
+from weberwhisk.mechanics import Profile, rest_angle
 from weberwhisk.mechanics.shape import bent_shape
 from weberwhisk.recordings.files import segment
 from weberwhisk.recordings.trackers import tidy

@@ -26,7 +26,7 @@ from weberwhisk import plots
 LENGTH = 50e-3
 STRAIGHT = ww.Whisker(LENGTH, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 #: y = a·x² with the tip some 0.2 L off the base tangent.
-CURVED = ww.Profile.of(STRAIGHT).curved(ww.Parabola(4.0))
+CURVED = ww.mechanics.Profile.of(STRAIGHT).curved(ww.mechanics.Parabola(4.0))
 WEBER_FRACTIONS = (0.03, 0.1, 0.3)
 TOLERANCE = 0.1
 #: Contacts along each axis, and distances at which the end of contact is found.
@@ -56,7 +56,7 @@ CASES = (
 
 def first_touch(case: Case, r: Any) -> Any:
     """Deflection angle at which the resting whisker has the distance r."""
-    rest = ww.rest_angle(case.whisker, r)
+    rest = ww.mechanics.rest_angle(case.whisker, r)
     return np.arctan2(np.sin(rest) * np.cos(case.roll), np.cos(rest))
 
 
@@ -65,10 +65,10 @@ def end_of_contact(case: Case, r: Any, side: float) -> tuple[Any, Any]:
     if case.whisker is STRAIGHT:
         end = ww.flick_past(STRAIGHT, r, side=side)
         return end.deflection_angle, end.ended_by
-    law = ww.Parabola(case.whisker.law.coefficient * np.cos(case.roll))
+    law = ww.mechanics.Parabola(case.whisker.law.coefficient * np.cos(case.roll))
     flat = case.whisker.curved(law)
     end = ww.flick_past(flat, r, side=side)
-    push = end.deflection_angle - ww.rest_angle(flat, r)
+    push = end.deflection_angle - ww.mechanics.rest_angle(flat, r)
     return first_touch(case, r) + push, end.ended_by
 
 
@@ -122,7 +122,7 @@ def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
             ax.plot(
                 at / LENGTH, np.degrees(first_touch(case, at)), "--", color="black", linewidth=0.8
             )
-            count = (float(np.mean(needed == model)) for model in ww.Model)
+            count = (float(np.mean(needed == model)) for model in ww.mechanics.Model)
             shares.append(
                 {"whisker": case.name, "weber_fraction": k} | dict(zip(NAMES, count, strict=True))
             )

@@ -78,10 +78,18 @@ def test_arrays_among_the_fields_are_copies_that_cannot_be_written():
 def test_whiskers_and_profiles_are_values():
     assert ww.Whisker(50e-3, 100e-6, 5e-6, 3e9) == W
     assert len({W, W.cylinder(), W.cylinder(), ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)}) == 2
-    assert ww.Profile.of(W) == ww.Profile.of(W) != ww.Profile.of(W.cylinder())
-    assert hash(ww.Profile.of(W)) == hash(ww.Profile.of(W))
-    bent = ww.Profile.of(W).curved(ww.Parabola(20.0))
-    assert bent == ww.Profile.of(W).curved(ww.Parabola(20.0)) != ww.Profile.of(W)
+    assert (
+        ww.mechanics.Profile.of(W)
+        == ww.mechanics.Profile.of(W)
+        != ww.mechanics.Profile.of(W.cylinder())
+    )
+    assert hash(ww.mechanics.Profile.of(W)) == hash(ww.mechanics.Profile.of(W))
+    bent = ww.mechanics.Profile.of(W).curved(ww.mechanics.Parabola(20.0))
+    assert (
+        bent
+        == ww.mechanics.Profile.of(W).curved(ww.mechanics.Parabola(20.0))
+        != ww.mechanics.Profile.of(W)
+    )
     with pytest.raises(FrozenInstanceError):
         W.length = 1.0
     with pytest.raises(ValueError, match="read-only"):
@@ -206,11 +214,11 @@ JUNK = ["text", None, np.nan, np.inf, -np.inf, -1, 0, 1e300, 3.0, 2.5, True, obj
 JUNK += [1j, ["a", "b"], [1.0, "b"], [[1, 2], [3]], float, ForceMap, b"x", np.zeros((2, 0))]
 GOOD = {  # what each class needs at least
     ww.Whisker: (50e-3, 100e-6, 5e-6),
-    ww.Parabola: (20.0,),
-    ww.Spiral: (),
-    ww.Profile: (W, [0, 50e-3], [1e-4, 5e-6], [0.0, 0.0], ww.Spiral(1.0)),
-    ww.Profile.of: (W,),
-    ww.Profile.tabulated: ([0, 50e-3], [1e-4, 5e-6]),
+    ww.mechanics.Parabola: (20.0,),
+    ww.mechanics.Spiral: (),
+    ww.mechanics.Profile: (W, [0, 50e-3], [1e-4, 5e-6], [0.0, 0.0], ww.mechanics.Spiral(1.0)),
+    ww.mechanics.Profile.of: (W,),
+    ww.mechanics.Profile.tabulated: ([0, 50e-3], [1e-4, 5e-6]),
     Events: ([[0], [1]],),
     Joint: ([Weber()], [1]),
     Afferents: (3, 1e-2, 10.0),

@@ -142,9 +142,10 @@ def test_help_documents_the_function_also_after_its_package_was_imported() -> No
 
 def test_dir_has_all_public_names_and_no_others() -> None:
     names = set(dir(ww))
-    assert {"behaviour", "plots", "sweeping", "JNDCurve", "posterior", "cues"} <= names
+    assert {"behaviour", "plots", "sweeping", "Whisker", "posterior", "cues"} <= names
     assert [n for n in names if n.startswith("_")] == ["__version__"]
     assert names == {*ww.__all__, "__version__"}
+    assert len(ww.__all__) <= 45
 
 
 #: The modules whose public names the reference lists.

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
+from weberwhisk import whisker
 
 
 def test_geometry_and_scales():
@@ -21,7 +22,7 @@ def test_cylinder_and_cone_are_the_limits():
 
 
 def test_every_identity_makes_a_whisker():
-    names = ww.identities()
+    names = whisker.identities()
     assert len(names) == 30
     for name in names:
         w = ww.Whisker.from_identity(name)

@@ -25,13 +25,9 @@ if TYPE_CHECKING:
     from ._util import campaign as campaign
     from ._util.output import cite as cite
     from .array import ArrayObserver as ArrayObserver
-    from .array import Place as Place
     from .array import WhiskerArray as WhiskerArray
     from .array.place import place as place
-    from .behaviour import Comparison as Comparison
-    from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
-    from .behaviour import WeberFit as WeberFit
     from .behaviour import compare as compare
     from .behaviour import fit_population as fit_population
     from .behaviour import fit_weber as fit_weber
@@ -42,55 +38,34 @@ if TYPE_CHECKING:
     from .design import power as power
     from .design import read_plan as read_plan
     from .design import simulate_study as simulate_study
-    from .inference import Posterior as Posterior
     from .inference import Status as Status
     from .inference import posterior as posterior
     from .inference.observer import Observer as Observer
-    from .inference.touches import Touches as Touches
     from .inference.touches import touches as touches
-    from .mechanics import Bending as Bending
-    from .mechanics import Choice as Choice
-    from .mechanics import FlickPast as FlickPast
-    from .mechanics import Model as Model
     from .mechanics import Outcome as Outcome
-    from .mechanics import Parabola as Parabola
-    from .mechanics import Profile as Profile
-    from .mechanics import Spiral as Spiral
     from .mechanics import bend as bend
     from .mechanics import choose_model as choose_model
     from .mechanics import flick_past as flick_past
     from .mechanics import press as press
-    from .mechanics import rest_angle as rest_angle
-    from .mechanics import signal_jacobian as signal_jacobian
-    from .mechanics import sweep as sweep
     from .plots.plan import write_plan as write_plan
     from .recordings import calibrate as calibrate
     from .recordings import read_tracking as read_tracking
     from .recordings import tracked_signals as tracked_signals
     from .recordings.locate import locate as locate
-    from .sensitivity import JNDCurve as JNDCurve
-    from .sensitivity import added_information as added_information
-    from .sensitivity import convert_jnd as convert_jnd
-    from .sensitivity import criterion_factor as criterion_factor
-    from .sensitivity import fused_jnds as fused_jnds
     from .sensitivity import information as information
     from .sensitivity import jnd_curve as jnd_curve
     from .sensitivity import jnd_sweep as jnd_sweep
-    from .sensitivity import touches_jnd as touches_jnd
     from .whisker import Whisker as Whisker
-    from .whisker import identities as identities
 
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
 _NAMES = {
-    "whisker": "Whisker identities",
-    "array": "ArrayObserver Place WhiskerArray place",
-    "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
-    "bend choose_model flick_past press rest_angle signal_jacobian sweep",
-    "inference": "Observer Posterior Status Touches posterior touches",
-    "sensitivity": "JNDCurve added_information convert_jnd criterion_factor fused_jnds "
-    "information jnd_curve jnd_sweep touches_jnd",
-    "behaviour": "Comparison PopulationFit Trials WeberFit compare "
-    "fit_population fit_weber read_trials simulate_population simulate_trials",
+    "whisker": "Whisker",
+    "array": "ArrayObserver WhiskerArray place",
+    "mechanics": "Outcome bend choose_model flick_past press",
+    "inference": "Observer Status posterior touches",
+    "sensitivity": "information jnd_curve jnd_sweep",
+    "behaviour": "Trials compare fit_population fit_weber read_trials simulate_population "
+    "simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "plots.plan": "write_plan",

@@ -26,6 +26,11 @@ from typer.core import TyperCommand, TyperGroup
 if TYPE_CHECKING:
     from ._util.values import Array
 
+__all__ = [
+    "COMMANDS", "PLAIN", "a_number", "a_seed", "app", "main", "new_app", "numbers", "progress",
+    "raised_by_weberwhisk", "run_app",
+]  # fmt: skip
+
 
 #: Refusals are one sentence, not a box, and a traceback is the whole traceback.
 PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}

@@ -17,9 +17,9 @@ from gallery.quasi_static import quasi_static
 from numpy.typing import ArrayLike
 from scipy.optimize import elementwise
 
-from weberwhisk import Observer, Outcome, Whisker, press, sweep
+from weberwhisk import Observer, Outcome, Whisker, press
 from weberwhisk.cues import ForceMap
-from weberwhisk.mechanics import cylinder, peg, wall
+from weberwhisk.mechanics import cylinder, peg, sweep, wall
 from weberwhisk.mechanics.objects import Body, Sweep
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import fisher_jnd

@@ -163,7 +163,7 @@ def touches(asked: Asked) -> Made:
         r = 0.6 * whisker.length
         angle = observer.angle_range(np.array([r]))[1]  # as likely anywhere in it, as the prior
         name = f"k = {k:g}" if cue is known else "the same, stiffness unknown"
-        table = ww.touches_jnd(
+        table = ww.sensitivity.touches_jnd(
             observer,
             r,
             angle * np.array([0.45, 0.15, 0.75, 0.25, 0.55, 0.95, 0.05, 0.35, 0.65, 0.85]),

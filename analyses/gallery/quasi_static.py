@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from weberwhisk import Profile, Whisker
+from weberwhisk import Whisker
+from weberwhisk.mechanics import Profile
 from weberwhisk.mechanics.modes import BASIS, basis, gauss, one_profile, ritz
 
 Array = np.ndarray

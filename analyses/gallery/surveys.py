@@ -14,18 +14,7 @@ import pandas as pd
 from command import with_units
 from gallery.lateral_slip import LateralSlip
 
-from weberwhisk import (
-    Observer,
-    Outcome,
-    Status,
-    Whisker,
-    added_information,
-    flick_past,
-    identities,
-    jnd_curve,
-    posterior,
-    press,
-)
+from weberwhisk import Observer, Outcome, Status, Whisker, flick_past, jnd_curve, posterior, press
 from weberwhisk.cues import (
     AngleSideAngle,
     BalanceOfMoments,
@@ -44,8 +33,9 @@ from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
 from weberwhisk.mechanics.model_choice import of_shape_at_rest
 from weberwhisk.receptors import Weber
-from weberwhisk.sensitivity import fisher_jnd, weber_propagation
+from weberwhisk.sensitivity import added_information, fisher_jnd, weber_propagation
 from weberwhisk.sensitivity.curves import linear_surface, up_to_the_fold
+from weberwhisk.whisker import identities
 
 Array = np.ndarray
 WHISKER = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)

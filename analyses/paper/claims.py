@@ -24,8 +24,6 @@ from weberwhisk import (
     flick_past,
     posterior,
     press,
-    signal_jacobian,
-    sweep,
 )
 from weberwhisk.cues import (
     AngleSideAngle,
@@ -36,7 +34,7 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.mechanics import closed_form, cylinder
+from weberwhisk.mechanics import closed_form, cylinder, signal_jacobian, sweep
 from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation

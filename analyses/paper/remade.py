@@ -23,8 +23,9 @@ import pandas as pd
 from gallery.surveys import WHISKER
 from scipy.integrate import solve_ivp
 
-from weberwhisk import Bending, Outcome, Whisker, bend, flick_past, press
+from weberwhisk import Outcome, Whisker, bend, flick_past, press
 from weberwhisk.cues import BalanceOfMoments, Compliance
+from weberwhisk.mechanics import Bending
 from weberwhisk.mechanics.muscle import WHISKING, MuscleCurve
 
 Array = np.ndarray

@@ -25,7 +25,6 @@ from speed_accuracy.beams import Row, timed
 
 from weberwhisk import (
     Observer,
-    Posterior,
     Status,
     Trials,
     Whisker,
@@ -39,6 +38,7 @@ from weberwhisk import (
     simulate_population,
     simulate_trials,
 )
+from weberwhisk.inference import Posterior
 from weberwhisk.inference.laplace import find_mode
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 

@@ -85,7 +85,7 @@ def test_the_force_on_a_tip_is_tilted_as_the_wall_is() -> None:
     met = costs.contacts(kind, "C2", "wall", size)
     again = met.press()
     whisker = kind.whisker("C2")
-    swept = ww.sweep(
+    swept = ww.mechanics.sweep(
         whisker,
         costs.body(kind, whisker, "wall", 1),
         np.concatenate([[-0.02], costs.rotations(6)]),
@@ -102,7 +102,7 @@ def test_scenes_near_the_fold_are_left_to_the_rung_that_knows() -> None:
     whisker, n = kind.whisker("C2"), 2000
     r = rng.uniform(0.05, 0.97, n) * whisker.whisker.length
     friction = np.radians(rng.uniform(-25, 25, n)) * (rng.random(n) < 0.5)
-    theta = ww.rest_angle(whisker, r) + rng.uniform(0, 1, n) ** 1.5
+    theta = ww.mechanics.rest_angle(whisker, r) + rng.uniform(0, 1, n) ** 1.5
     reached = np.isfinite(theta)
     met = costs.Contacts(whisker, r[reached], theta[reached], friction[reached], 0.0)
     true = met.press()

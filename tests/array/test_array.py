@@ -146,7 +146,7 @@ def brute_force(
     return mean, np.sqrt(weight @ (place - mean) ** 2), float(evidence)
 
 
-def around(found: ww.Place, sds: float = 7.0) -> Any:
+def around(found: ww.array.Place, sds: float = 7.0) -> Any:
     ends = found.mean[:, None] + sds * found.sd[:, None] * np.array([-1.0, 1.0])
     return np.clip(ends, found.observer.box[:, :1], found.observer.box[:, 1:])
 

@@ -127,7 +127,7 @@ def test_a_written_table_reads_back(trials: Trials) -> None:
     assert back.n_trials == trials.n_trials
 
 
-def check_fit(fit: ww.WeberFit) -> None:
+def check_fit(fit: ww.behaviour.WeberFit) -> None:
     """Finite numbers in their order, sentences, and strict JSON."""
     assert fit.status.message
     low, high = fit.interval()
@@ -147,7 +147,7 @@ def test_every_table_has_a_whole_fit(trials: Trials) -> None:
     check_fit(fit_weber(trials))
 
 
-def alike(one: ww.WeberFit, other: ww.WeberFit, rtol: float = 1e-3) -> None:
+def alike(one: ww.behaviour.WeberFit, other: ww.behaviour.WeberFit, rtol: float = 1e-3) -> None:
     """Two fits of the same data."""
     assert one.status == other.status
     quantiles = np.array([0.025, 0.5, 0.975])

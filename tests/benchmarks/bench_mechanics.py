@@ -64,7 +64,7 @@ def main() -> None:
     rows = [
         ("1e6 bend", best(lambda: ww.bend(W, s, force)), "1 s"),
         ("1e6 press", best(lambda: ww.press(W, r, theta)), "5 s"),
-        ("1e6 signal_jacobian", best(lambda: ww.signal_jacobian(W, r, theta)), ""),
+        ("1e6 signal_jacobian", best(lambda: ww.mechanics.signal_jacobian(W, r, theta)), ""),
         ("1e6 press, closed form", best(lambda: ww.press(W, r, theta, model="closed_form")), ""),
         ("one scalar bend", best(lambda: [ww.bend(W, 35e-3, 8e-5) for _ in range(100)]) / 100, ""),
         ("one scalar press", best(lambda: [ww.press(W, 30e-3, 0.3) for _ in range(100)]) / 100, ""),

@@ -21,8 +21,8 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.receptors import Afferents, GeneralisedWeber, Joint, SpikeCount, Weber
+from weberwhisk.sensitivity import bits as fusing
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
-from weberwhisk.sensitivity import jnd as fusing
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 MAP_AND_TAP = Fused(ForceMap(), Compliance())
@@ -140,7 +140,7 @@ def test_posteriors_have_the_propagated_width_at_small_noise():
 
 def test_cues_that_share_distance_alone_combine_optimally():
     contact = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
-    table = ww.fused_jnds(ww.Observer(W, MAP_AND_TAP), contact)
+    table = ww.sensitivity.fused_jnds(ww.Observer(W, MAP_AND_TAP), contact)
     assert np.allclose(table["together_mm"], table["optimal_mm"], rtol=1e-9)
     assert np.all(table["together_mm"] < table["best_mm"])
     assert np.all(table["gain"] <= np.sqrt(2) * (1 + 1e-9))
@@ -149,7 +149,7 @@ def test_cues_that_share_distance_alone_combine_optimally():
 def test_cues_that_need_the_same_unknown_tell_more_together_than_optimal():
     """Moment and axial force: neither tells anything alone where the angle is unknown."""
     pair = Fused(ForceMap("moment"), ForceMap("axial_force"))
-    table = ww.fused_jnds(ww.Observer(W, pair), [25e-3, 0.2])
+    table = ww.sensitivity.fused_jnds(ww.Observer(W, pair), [25e-3, 0.2])
     assert np.isinf(table["best_mm"][0])
     assert np.isinf(table["optimal_mm"][0])
     whole = fisher_jnd(ww.Observer(W, ForceMap()), [25e-3, 0.2])
@@ -158,7 +158,7 @@ def test_cues_that_need_the_same_unknown_tell_more_together_than_optimal():
 
 def test_cues_that_share_a_prior_tell_less_together_than_optimal():
     """The stiffness is as well known beforehand as it is, once and not for each cue."""
-    table = ww.fused_jnds(ww.Observer(W, SOFT), [25e-3, 0.2, 1.0])
+    table = ww.sensitivity.fused_jnds(ww.Observer(W, SOFT), [25e-3, 0.2, 1.0])
     assert table["optimal_mm"][0] < 0.95 * table["together_mm"][0]
     assert table["together_mm"][0] < table["best_mm"][0]
 
@@ -194,7 +194,10 @@ def test_information_is_that_of_a_brute_force_sum(cue):
         (lambda: Joint([Weber(0.1)], sizes=[1, 2]), "Every noise model needs"),
         (lambda: BLOCKS.sd([1.0, 2.0]), "This noise is of 4 signals, got 2"),
         (lambda: fusing.alone(ww.Observer(W, Compliance())), "Only a fusion has parts"),
-        (lambda: ww.fused_jnds(ww.Observer(W, TWO_TAPS, Weber(0.1)), 25e-3), "cue by cue"),
+        (
+            lambda: ww.sensitivity.fused_jnds(ww.Observer(W, TWO_TAPS, Weber(0.1)), 25e-3),
+            "cue by cue",
+        ),
         (
             lambda: ww.information(ww.Observer(W, Compliance()), n_readings=1),
             "n_readings must be a whole number of 2 or more",

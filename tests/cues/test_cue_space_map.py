@@ -395,7 +395,9 @@ def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
     assert low < -np.pi < high or low < np.pi < high
 
 
-@pytest.mark.parametrize("shape", [pytest.param(W, marks=pytest.mark.slow), ww.Profile.of(W)])
+@pytest.mark.parametrize(
+    "shape", [pytest.param(W, marks=pytest.mark.slow), ww.mechanics.Profile.of(W)]
+)
 def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_has_no_floor(shape):
     """Of a straight profile its rounding errors were read: 29.6 ± 0.5 mm, converged."""
     sizes = ("torsion", *SIGNALS, "moment_direction", "force_direction")

@@ -146,7 +146,7 @@ STRAIGHT_ONLY = [cue for cue in EVERY if not cue.takes_curved]
 @pytest.mark.parametrize("cue", STRAIGHT_ONLY, ids=repr)
 def test_every_cue_refuses_whiskers_that_it_cannot_feel_through(cue):
     """A profile, and a curved whisker: by the observer, and by the cue itself."""
-    profile = ww.Profile.of(W)
+    profile = ww.mechanics.Profile.of(W)
     bent = ww.Whisker(50e-3, 1e-4, 5e-6, curvature=10.0)
     contact = np.full((1, len(cue.unknowns)), 0.02)
     for whisker, words in ((profile, "got a Profile"), (bent, "curvature")):

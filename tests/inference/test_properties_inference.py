@@ -89,7 +89,7 @@ def observed(draw: st.DrawFn) -> tuple[ww.Observer, np.ndarray, np.ndarray]:
     return observer, contact, observer.read(np.tile(contact, (3, 1)), draw(st.integers(0, 10**9)))
 
 
-def check_posterior(p: ww.Posterior) -> None:
+def check_posterior(p: ww.inference.Posterior) -> None:
     low, high = p.observer.reach
     length = high - low
     for name in ("mean", "sd", "mean_error", "sd_error"):

@@ -151,7 +151,7 @@ def brute(w, cue, noise, reading, friction=0.0):
 
 
 def profile_tip(w):
-    return ww.Profile.of(w).law.point(np.array([float(w.length)]))
+    return ww.mechanics.Profile.of(w).law.point(np.array([float(w.length)]))
 
 
 SCENES = [
@@ -357,7 +357,7 @@ def test_the_observer_chooses_its_model_and_says_why():
 
 
 def test_what_real_observers_refuse():
-    several = ww.Profile.of(whisker(20, 0.0)).curved(ww.Spiral([1.0, 2.0]))
+    several = ww.mechanics.Profile.of(whisker(20, 0.0)).curved(ww.mechanics.Spiral([1.0, 2.0]))
     with pytest.raises(ValueError, match="one whisker, got 2 values of base"):  # it was taken
         Observer(several, ForceMap())
     with pytest.raises(ValueError, match="up to 30°"):
@@ -383,7 +383,7 @@ def test_a_named_whisker_carries_its_curvature_where_asked():
     base, rate = rest_shape("C2")
     assert (base, rate) == (7.325, 552.0)
     assert curved.curvature == pytest.approx(base + rate * curved.length / 2)
-    law = ww.Spiral(base, rate)
+    law = ww.mechanics.Spiral(base, rate)
     assert law.turn(curved.length) == pytest.approx(curved.curvature * curved.length)
     assert rest_shape("C2", "mouse") != rest_shape("C2")
     with pytest.raises(ValueError, match="species"):

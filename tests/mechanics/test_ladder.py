@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import Model, Outcome
-from weberwhisk.mechanics import closed_form, elastica, profile, rod
+from weberwhisk import Outcome
+from weberwhisk.mechanics import Model, closed_form, elastica, profile, rod
 from weberwhisk.mechanics.ladder import press_by
 from weberwhisk.mechanics.shape import Parabola, Profile
 from weberwhisk.whisker import _morphology
@@ -47,7 +47,8 @@ def test_a_profile_takes_the_place_of_its_whisker():
     ):
         np.testing.assert_array_equal(signals(a), signals(b))
     np.testing.assert_array_equal(
-        ww.signal_jacobian(p, r, theta, psi), ww.signal_jacobian(CURVED, r, theta, psi)
+        ww.mechanics.signal_jacobian(p, r, theta, psi),
+        ww.mechanics.signal_jacobian(CURVED, r, theta, psi),
     )
     np.testing.assert_array_equal(
         ww.flick_past(p, r, psi, side=-1).deflection_angle,
@@ -59,7 +60,7 @@ def test_a_profile_takes_the_place_of_its_whisker():
 def test_jacobian_is_the_slope_of_press(psi, roll):
     """Out of the plane the object's height goes with its distance, and is sloped as well."""
     r, theta, h = 30e-3, 0.3, 1e-4
-    slopes = ww.signal_jacobian(CURVED, r, theta, psi, roll=roll)
+    slopes = ww.mechanics.signal_jacobian(CURVED, r, theta, psi, roll=roll)
     for k, (dr, dt) in enumerate(((h * r, 0.0), (0.0, h))):
         at = np.array([1, -1, 2, -2])
         s = signals(ww.press(CURVED, r + at * dr, theta + at * dt, psi, roll=roll))
@@ -70,7 +71,7 @@ def test_jacobian_is_the_slope_of_press(psi, roll):
 def test_a_rolled_whisker_is_met_at_rest():
     """The push starts from no force, whatever the roll, and mirrored rolls feel the same."""
     roll = np.array([-2.0, -0.5, 0.5, 1.2])
-    rest = ww.rest_angle(CURVED, 30e-3)
+    rest = ww.mechanics.rest_angle(CURVED, 30e-3)
     azimuth = np.arctan2(np.sin(rest) * np.cos(roll), np.cos(rest))
     b = ww.press(CURVED, 30e-3, azimuth, roll=roll)
     assert np.all(np.abs(b.force) < 1e-9 * CURVED.force_scale)
@@ -214,7 +215,7 @@ def test_where_nothing_is_held_the_rung_that_knows_is_taken():
         assert not np.any(b.held)
         assert np.all(np.isnan(signals(b)))
         assert np.all(np.isnan(b.error))
-    rest = ww.rest_angle(CURVED, 30e-3)
+    rest = ww.mechanics.rest_angle(CURVED, 30e-3)
     none = ww.choose_model(CURVED, 30e-3, rest)  # no push: the error is that of a small one
     assert none.bias[1] == pytest.approx(
         ww.choose_model(CURVED, 30e-3, rest + 1e-5).bias[1], rel=1e-2

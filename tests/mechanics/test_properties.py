@@ -30,7 +30,7 @@ def same(a: object, b: object, rtol: float = 0.0) -> None:
     np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=rtol, atol=0.0)
 
 
-def check_whole(b: ww.Bending) -> None:
+def check_whole(b: ww.mechanics.Bending) -> None:
     """Numbers where a contact is held, NaN where not; an outcome and an error everywhere."""
     held = np.asarray(b.held)
     for name in NUMBERS:
@@ -143,7 +143,7 @@ def test_a_light_touch_is_the_closed_form(w: ww.Whisker, fraction: float, angle:
 def test_slopes_are_those_of_the_signals(w: ww.Whisker, fraction: float, share: float) -> None:
     r = fraction * w.length
     theta = share * ww.flick_past(w, r).deflection_angle
-    slope = ww.signal_jacobian(w, r, theta)
+    slope = ww.mechanics.signal_jacobian(w, r, theta)
     step = 1e-5
     for k, (dr, dtheta) in enumerate(((step * r, 0.0), (0.0, step * theta))):
         up, down = (ww.press(w, r + s * dr, theta + s * dtheta) for s in (1, -1))
@@ -184,7 +184,7 @@ def test_the_rung_chosen_is_within_the_tolerance_and_no_dearer_when_it_grows(
     w: ww.Whisker, fraction: float, share: float, tolerance: float, k: float
 ) -> None:  # fmt: skip
     r = fraction * w.length
-    theta = float(ww.rest_angle(w, r)) + share * 0.5
+    theta = float(ww.mechanics.rest_angle(w, r)) + share * 0.5
     assume(np.isfinite(theta))
     strict, loose = (
         ww.choose_model(w, r, theta, weber_fraction=k, tolerance=t)

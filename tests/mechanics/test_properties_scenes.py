@@ -53,7 +53,7 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     w, name, numbers = scene
     body = made(name, numbers, w.length)
     assume(body.depth(0.0, 0.0) < 0)
-    s = ww.sweep(w, body, ROTATIONS)
+    s = ww.mechanics.sweep(w, body, ROTATIONS)
     b, held = s.bending, np.asarray(s.bending.held)
     for value in (b.moment, b.force, b.axial_force, s.contact[:, 0]):
         assert (np.isfinite(value) == held).all()
@@ -67,7 +67,9 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     if np.isfinite(s.end):
         assert s.ended_by not in (Outcome.HELD, Outcome.OUT_OF_REACH)
         assert not held[s.rotation > s.end].any()
-    other = ww.sweep(scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS)
+    other = ww.mechanics.sweep(
+        scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS
+    )
     np.testing.assert_array_equal(other.bending.outcome, b.outcome)
     np.testing.assert_allclose(
         other.bending.moment[held], b.moment[held] * stiff * size**3,

@@ -150,7 +150,7 @@ def test_derivatives_meet_finite_differences_of_eighth_order():
     end = ww.flick_past(W, r).deflection_angle
     theta = end * rng.uniform(0.02, 0.95, 1500)
     theta *= rng.choice([-1, 1], 1500)
-    jacobian = ww.signal_jacobian(W, r, theta)
+    jacobian = ww.mechanics.signal_jacobian(W, r, theta)
 
     def signals(r, theta):
         b = ww.press(W, r, theta)

@@ -259,7 +259,7 @@ def test_the_slope_falls_with_deflection_while_the_moment_grows_more_slowly(shar
     """§3c has the reason upside down: |∂r/∂M| falls, M grows, their product falls."""
     theta = _up_to_90_degrees(share)
     theta = theta[theta < ww.flick_past(W, share * L).at_moment_peak.deflection_angle]
-    slopes = np.linalg.inv(ww.signal_jacobian(W, share * L, theta)[..., :2, :])[:, 0, 0]
+    slopes = np.linalg.inv(ww.mechanics.signal_jacobian(W, share * L, theta)[..., :2, :])[:, 0, 0]
     moment = ww.press(W, share * L, theta).moment
     assert np.all(np.diff(np.abs(slopes)) < 0)
     assert np.all(np.diff(moment) > 0)

@@ -27,7 +27,7 @@ def observer(cue: ww.cues.Cue | None = None) -> ww.Observer:
 
 
 @pytest.fixture(scope="module")
-def fit() -> ww.WeberFit:
+def fit() -> ww.behaviour.WeberFit:
     trials = ww.simulate_trials(
         weber_fraction=0.15, standards=[1.0, 2.0], trials_per_level=20, seed=3
     )
@@ -91,7 +91,7 @@ def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
     assert "1.00" in [text.get_text() for text in ax.texts]
 
 
-def test_psychometric_shows_choices_and_curve(fit: ww.WeberFit) -> None:
+def test_psychometric_shows_choices_and_curve(fit: ww.behaviour.WeberFit) -> None:
     with pytest.raises(ValueError, match="2 standards; name one, such as standard=1"):
         plots.psychometric(fit)
     ax = plots.psychometric(fit, standard=2.0)
@@ -104,7 +104,7 @@ def test_psychometric_shows_choices_and_curve(fit: ww.WeberFit) -> None:
     np.testing.assert_allclose(p, expected, atol=1e-9)
 
 
-def test_psychometrics_has_a_panel_for_each_standard(fit: ww.WeberFit) -> None:
+def test_psychometrics_has_a_panel_for_each_standard(fit: ww.behaviour.WeberFit) -> None:
     axes = plots.psychometrics(fit, unit="g")
     assert [ax.get_title() for ax in axes] == ["standard 1", "standard 2"]
     assert plots.figure_of(axes).get_supxlabel() == "Second stimulus (g)"
@@ -148,7 +148,7 @@ def test_posterior_of_many_readings_is_refused() -> None:
         plots.posterior_histogram(result)
 
 
-def test_figures_leave_the_users_style_alone(fit: ww.WeberFit, tmp_path: Path) -> None:
+def test_figures_leave_the_users_style_alone(fit: ww.behaviour.WeberFit, tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
     ax = plots.psychometric(fit, standard=1.0)
     plots.figure_of(ax).savefig(tmp_path / "one.png")
@@ -157,7 +157,7 @@ def test_figures_leave_the_users_style_alone(fit: ww.WeberFit, tmp_path: Path) -
     assert plots.psychometric(fit, own, standard=1.0) is own
 
 
-def test_svg_files_are_repeatable(fit: ww.WeberFit, tmp_path: Path) -> None:
+def test_svg_files_are_repeatable(fit: ww.behaviour.WeberFit, tmp_path: Path) -> None:
     for name in ("one.svg", "two.svg"):
         figure = plots.figure_of(plots.psychometrics(fit))
         figure.savefig(tmp_path / name, metadata={"Date": None})
@@ -165,13 +165,13 @@ def test_svg_files_are_repeatable(fit: ww.WeberFit, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def population() -> ww.PopulationFit:
+def population() -> ww.behaviour.PopulationFit:
     trials, _ = ww.simulate_population(3, trials_per_level=6, spread=0.8, seed=2)
     return ww.fit_population(trials)
 
 
 def test_names_that_no_font_shows_are_drawn(
-    tmp_path: Path, population: ww.PopulationFit, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, population: ww.behaviour.PopulationFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Missing glyphs warn, and warnings are errors here; a pair of dollars would be a formula."""
     names = ["\x1b[31mred\x07", "\U0001f400 鼠\u200b", r"a$\frac{$ " + 60 * "b"]
@@ -193,7 +193,7 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
+def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) -> dict[str, Any]:
     """Every figure of the package, of small tables."""
     tap, force_map = observer(), observer(ww.cues.ForceMap())
     moment_alone = ww.Observer(WHISKER, ww.cues.ForceMap(), ww.receptors.Weber([0.1, 1e-9]))

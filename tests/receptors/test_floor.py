@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import Observer, Profile, Whisker, receptors
+from weberwhisk import Observer, Whisker, receptors
 from weberwhisk.cues import (
     Compliance,
     ForceMap,
@@ -18,6 +18,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.inference import default_noise
+from weberwhisk.mechanics import Profile
 from weberwhisk.receptors import (
     GeneralisedWeber,
     Joint,

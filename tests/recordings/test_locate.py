@@ -112,7 +112,7 @@ def test_signs_of_a_concave_whisker_are_its_own(angle: bool) -> None:
     w = ww.Whisker.from_identity("C2", curved=True, youngs_modulus=3e9)
     w = replace(w, curvature=-w.curvature)
     r = np.array([12e-3, 15e-3, 20e-3, 18e-3, 15e-3])
-    b = ww.press(w, r, ww.rest_angle(w, r) + np.array([0.1, 0.08, 0.1, 0.1, 0.25]))
+    b = ww.press(w, r, ww.mechanics.rest_angle(w, r) + np.array([0.1, 0.08, 0.1, 0.1, 0.25]))
     assert (b.axial_force < 0).sum() == 4
     table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
     notes = "taken as SI"
@@ -204,7 +204,9 @@ def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side()
     for name in ("touch_radial_distance_mm", "touch_sd_mm", "touch_lower_mm"):
         np.testing.assert_allclose(hardly[name], straight[name], rtol=2e-3)
     curved = ww.Whisker.from_identity("C2", curved=True, youngs_modulus=3e9)
-    b = ww.press(curved, 16e-3, ww.rest_angle(curved, 16e-3) + np.repeat([0.002, 0.2], [6, 3]))
+    b = ww.press(
+        curved, 16e-3, ww.mechanics.rest_angle(curved, 16e-3) + np.repeat([0.002, 0.2], [6, 3])
+    )
     sd, z = {"moment": 1e-7, "axial_force": 1e-5}, []
     for seed in (1, 4):
         rng = np.random.default_rng(seed)

@@ -36,8 +36,8 @@ def test_shapes_are_those_of_the_planar_beam() -> None:
 
     r, more = np.array([10e-3, 15e-3, 20e-3, 15e-3]), np.array([0.1, 0.2, 0.2, 0.2])
     tilt = np.array([0, 0, 0, 0.3])
-    b = ww.press(C2, r, ww.rest_angle(C2, r) + more, tilt)
-    shapes = Shapes(ww.Profile.of(C2), 1.0)
+    b = ww.press(C2, r, ww.mechanics.rest_angle(C2, r) + more, tilt)
+    shapes = Shapes(ww.mechanics.Profile.of(C2), 1.0)
     p = np.zeros((4, 12))
     p[:, 2], p[:, 3] = shapes.place(b.arc_length / C2.length), b.force / C2.force_scale
     p[:, 4], p[:, 5] = tilt, C2.curvature * C2.length
@@ -97,7 +97,7 @@ def test_errors_of_moment_and_forces_are_those_of_monte_carlo_over_the_fit() -> 
 
     video, truth = _scene(2, [12e-3, 20e-3], frames=80)
     some = video[truth["contact"].to_numpy()]
-    shapes = Shapes(ww.Profile.of(C2), 1.0)
+    shapes = Shapes(ww.mechanics.Profile.of(C2), 1.0)
     unit = 20e3 * C2.length
     points = points_of(some, np.eye(2), unit)
     points = points._replace(weight=points.weight * unit / 0.3)

@@ -31,12 +31,12 @@ L, A = W.length, W.apex_distance
     ],
 )
 def test_criteria_have_the_conventional_factors(criterion, value):
-    assert 0.1 * ww.criterion_factor(criterion) == pytest.approx(value, abs=6e-5)
+    assert 0.1 * ww.sensitivity.criterion_factor(criterion) == pytest.approx(value, abs=6e-5)
 
 
 def test_conversion_goes_there_and_back():
-    there = ww.convert_jnd(0.2, from_criterion="75% 2AFC", to_criterion="75% yes/no")
-    back = ww.convert_jnd(there, from_criterion="75% yes/no", to_criterion="75% 2AFC")
+    there = ww.sensitivity.convert_jnd(0.2, from_criterion="75% 2AFC", to_criterion="75% yes/no")
+    back = ww.sensitivity.convert_jnd(there, from_criterion="75% yes/no", to_criterion="75% 2AFC")
     assert there == pytest.approx(0.2 / np.sqrt(2))
     assert back == pytest.approx(0.2)
 
@@ -44,7 +44,7 @@ def test_conversion_goes_there_and_back():
 @pytest.mark.parametrize("criterion", ["75%", "100% 2AFC", "50% 2AFC", "loud", None, "75% 3AFC"])
 def test_unknown_criteria_are_refused(criterion):
     with pytest.raises(ValueError, match="criterion"):
-        ww.criterion_factor(criterion)
+        ww.sensitivity.criterion_factor(criterion)
 
 
 def test_fisher_beats_propagation_by_what_the_spread_tells():
@@ -93,7 +93,7 @@ def test_the_criterion_scales_every_route():
     )
     routes = ["closed_form", "propagation", "fisher", "posterior", "estimator", "posterior_error"]
     ratio = (two[routes] / one[routes]).to_numpy()
-    assert np.allclose(ratio, ww.criterion_factor("75% 2AFC"))
+    assert np.allclose(ratio, ww.sensitivity.criterion_factor("75% 2AFC"))
 
 
 def test_contacts_that_are_not_held_stay_in_the_table():

@@ -23,6 +23,8 @@ from .values import Array
 if TYPE_CHECKING:
     from xarray import Dataset
 
+__all__ = ["ArvizData", "mcse", "pointwise_loo", "rhat", "to_arviz"]
+
 
 class ArvizData(Protocol):
     """What ArviZ takes: its InferenceData on 0.23, xarray's DataTree on 1.x."""

@@ -12,6 +12,12 @@ from numpy.typing import ArrayLike
 
 from .values import Array, Flags
 
+__all__ = [
+    "angle", "between", "finite", "generator", "kind", "listed", "mass", "non_negative",
+    "non_negative_number", "number", "numbers", "one_of", "one_or_more", "positive",
+    "positive_number", "refuse_hinge", "several", "shown", "whole",
+]  # fmt: skip
+
 
 def numbers(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array, NaN and infinite values included, refused where it is text."""

@@ -19,6 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from .arviz_io import mcse, rhat
 from .values import Array, Flags, Index, Seed
 
+__all__ = [
+    "MOVES", "RHAT", "BlockDifferentialEvolution", "BlockMove", "BlockStretch", "Shortfall",
+    "StackedSample", "sample_stacked",
+]  # fmt: skip
+
 #: Every second step is kept: half the memory, for 5 % of the information at best.
 THIN = 2
 #: R-hat below which independent ensembles agree (Vehtari et al. 2021, Bayesian Analysis 16, 667).

@@ -16,6 +16,8 @@ from typing import Any, BinaryIO, Self
 from . import output
 from .checks import shown
 
+__all__ = ["Log", "read_lines"]
+
 FORMAT = 1
 
 

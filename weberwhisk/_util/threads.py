@@ -17,6 +17,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
+__all__ = [
+    "core_count", "in_browser", "limited_blas", "on_threads", "one_blas_thread", "thread_count",
+]  # fmt: skip
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

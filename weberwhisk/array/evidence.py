@@ -18,6 +18,8 @@ from ..inference.result import is_outside
 from ..mechanics.contact import Outcome
 from .follicles import Follicle
 
+__all__ = ["Evidence", "JointEvidence", "Sensor", "metres", "one_place"]
+
 
 @dataclass(frozen=True, eq=False)
 class Sensor:

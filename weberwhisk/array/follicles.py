@@ -20,6 +20,8 @@ from ..mechanics.shape import Profile, Spiral
 from ..whisker import SPECIES, Whisker, rest_shape
 from ..whisker import identities as known_identities
 
+__all__ = ["ROLL", "Follicle", "Published", "WhiskerArray", "published"]
+
 ROWS = "ABCDE"
 _RADIANS = "give radians, such as 0.5"
 #: Degrees of elevation and of roll that come with each degree of protraction, row by row (Knutsen,

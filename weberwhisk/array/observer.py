@@ -33,6 +33,8 @@ from ..receptors import ReceptorNoise, Seed
 from .evidence import JointEvidence, Sensor, metres, one_place
 from .follicles import WhiskerArray
 
+__all__ = ["ArrayObserver", "Readings"]
+
 Readings = Mapping[str, Any]
 _RADIANS = "give radians, such as 0.02"
 

@@ -25,7 +25,7 @@ __all__ = ["ArrayObserver", "Place", "place"]
 
 
 def place(
-    observer: ArrayObserver, readings: Readings, *, tolerance: float = 2e-3, seed: Seed = 0
+    observer: ArrayObserver, readings: Readings, *, tolerance: float = 2e-3, seed: Seed = 1
 ) -> Place:
     """The posterior of an object's place from readings of any of an array's whiskers.
 

@@ -132,7 +132,7 @@ def fit_weber(
     priors: Any = None,
     method: str | None = None,
     distances: Any = None,
-    seed: int | np.random.SeedSequence | np.random.Generator = 0,
+    seed: int | np.random.SeedSequence | np.random.Generator = 1,
 ) -> WeberFit:
     """Fit the Weber fraction of one observer, with lapses and bias.
 

@@ -195,7 +195,7 @@ def fit_population(
     noise: str = "weber",
     priors: Any = None,
     spread_prior: Any = None,
-    seed: int = 0,
+    seed: int = 1,
 ) -> PopulationFit:
     """Fit many animals at once: each learns from the others (partial pooling).
 

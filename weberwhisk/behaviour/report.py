@@ -166,7 +166,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}" if np.isfinite(value) else "out of reach"
 
 
-def to_arviz(fit: Estimates, seed: int = 0) -> ArvizData:
+def to_arviz(fit: Estimates, seed: int = 1) -> ArvizData:
     """Posterior, prior, posterior-predictive, log-likelihood and observed data, for ArviZ.
 
     A cell is a pair of stimuli: `n` trials of which `count` had the answer. Its log-likelihood is

@@ -151,7 +151,9 @@ def fit(
     opt.finish(run, as_json, answer, *lines)
 
 
-def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[pd.DataFrame, str]:
+def compared(
+    name: str, fit: ww.behaviour.WeberFit, whisker: ww.Whisker | None
+) -> tuple[pd.DataFrame, str]:
     """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
     from ..behaviour.effects import EFFECTS
 
@@ -160,7 +162,7 @@ def compared(name: str, fit: ww.WeberFit, whisker: ww.Whisker | None) -> tuple[p
         test = ww.behaviour.weber_law_test(fit)
         return test.by_standard, test.report()
 
-    def fitted(encoding: Encoding, *more: Effect) -> ww.WeberFit:
+    def fitted(encoding: Encoding, *more: Effect) -> ww.behaviour.WeberFit:
         return ww.fit_weber(
             fit.trials, encoding=encoding, bias=fit.bias, noise=fit.noise,
             effects=[*fit.model.effects, *more], priors=fit.model.priors,

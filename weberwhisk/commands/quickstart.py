@@ -17,6 +17,8 @@ from ..cli import progress
 from . import command, describe, enough_draws, finish, whisker_line
 from .whiskers import curve_in_steps
 
+__all__ = ["jnd_surface", "moment_dominated", "quickstart", "rat_choices"]
+
 
 @command
 def quickstart(
@@ -71,7 +73,7 @@ def curves(
 
 def light_taps(
     whisker: ww.Whisker, k: float, method: str, draws: int, seed: int, as_json: bool = False
-) -> dict[str, ww.JNDCurve]:
+) -> dict[str, ww.sensitivity.JNDCurve]:
     """Figure 4a's posteriors, of a whisker and of a cylinder as long, at ten places."""
     places, found = np.linspace(0.05, 0.95, 10) * whisker.length, {}
     for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
@@ -82,7 +84,7 @@ def light_taps(
 
 
 def _compared(
-    table: ww.JNDCurve, exact: ww.JNDCurve, whisker: ww.Whisker, k: float
+    table: ww.sensitivity.JNDCurve, exact: ww.sensitivity.JNDCurve, whisker: ww.Whisker, k: float
 ) -> dict[str, Any]:
     """One whisker's posteriors against the closed form and against quadrature, JND/(kL)."""
     scale = whisker.length * k
@@ -123,7 +125,7 @@ def jnd_surface(
             curve = ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child)
             parts.append(curve)
             advance()
-    points = ww.JNDCurve.joined(parts).table.reset_index()
+    points = ww.sensitivity.JNDCurve.joined(parts).table.reset_index()
     run.table("jnd_surface_posteriors", points)
     shown = ww.plots.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
     run.figure("jnd_surface", shown)

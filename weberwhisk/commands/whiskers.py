@@ -16,6 +16,8 @@ from .._util.output import Run
 from .._util.values import Array, pd
 from ..cli import a_seed, numbers, progress
 
+__all__ = ["bend", "calibrate", "curve_in_steps", "jnd", "locate"]
+
 #: Column of `bend`'s table: attribute of `Bending`, and its unit in SI.
 _BENDING_COLUMNS = {
     "arc_length_mm": ("arc_length", 1e-3),
@@ -82,7 +84,7 @@ def bend(
         # What was asked stays as it was written, also where there is no equilibrium.
         columns |= dict(zip(names, (where, much), strict=True))
         columns["outcome"] = [ww.Outcome(o).name.lower() for o in np.asarray(bending.outcome)]
-        columns["model"] = [ww.Model(m).name.lower() for m in np.asarray(bending.model)]
+        columns["model"] = [ww.mechanics.Model(m).name.lower() for m in np.asarray(bending.model)]
         columns["error"] = bending.error
         table = pd.DataFrame(columns)
         run.table("bend", table)
@@ -96,7 +98,7 @@ def bend(
     opt.show(table, run, whisker, as_json, notes)
 
 
-def _which_model(whisker: ww.Whisker, bending: ww.Bending) -> Iterator[str]:
+def _which_model(whisker: ww.Whisker, bending: ww.mechanics.Bending) -> Iterator[str]:
     """One line for each model that the contacts held would need, with the reason of the first."""
     at = bending.held
     if not np.any(at):
@@ -104,7 +106,7 @@ def _which_model(whisker: ww.Whisker, bending: ww.Bending) -> Iterator[str]:
     choice = ww.choose_model(whisker, bending.radial_distance[at], bending.deflection_angle[at])
     models, first, counts = np.unique(choice.model, return_index=True, return_counts=True)
     for model, k, count in zip(models, first, counts, strict=True):
-        title = ww.Model(model).title
+        title = ww.mechanics.Model(model).title
         yield f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}."
 
 
@@ -188,7 +190,7 @@ def curve_in_steps(
     as_json: bool,
     description: str = "Posteriors",
     step: int = 4,
-) -> ww.JNDCurve:
+) -> ww.sensitivity.JNDCurve:
     """`jnd_curve` of so many distances at a time, with a progress bar; angles are combined."""
     pairs: list[tuple[float | None, Array]] = [
         (angle, distances[i : i + step])
@@ -204,7 +206,7 @@ def curve_in_steps(
             )
             parts.append(curve)
             advance()
-    return ww.JNDCurve.joined(parts)
+    return ww.sensitivity.JNDCurve.joined(parts)
 
 
 # -- measured contacts ----------------------------------------------------------------------------
@@ -319,7 +321,7 @@ def calibrate(
     unit: opt.Texts = None,
     counts: Annotated[bool, "Slopes are counts a second: find the gain."] = False,
     clamped: Annotated[bool, "The base does not give way."] = False,
-    seed: int = 0,
+    seed: int = 1,
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:

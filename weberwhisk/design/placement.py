@@ -63,7 +63,7 @@ class TrialLog(Line):
 
     most: int | None = None  # trials, after which there are enough
 
-    def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme, seed: int = 0) -> None:
+    def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme, seed: int = 1) -> None:
         self.hypotheses = check_distinct(hypotheses)
         checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
         self.scheme, self.seed = scheme, seed
@@ -242,7 +242,7 @@ class BayesianPlacer(TrialLog):
         easy_share: float = 0.1,
         width: float | None = None,
         most: int | None = None,
-        seed: int = 0,
+        seed: int = 1,
     ) -> None:
         several = [hypotheses] if isinstance(hypotheses, Hypothesis) else hypotheses
         super().__init__(several, scheme, seed)
@@ -382,7 +382,7 @@ class Staircase(TrialLog):
         rule: str = "1-up/2-down",
         turns: int | None = None,
         most: int | None = None,
-        seed: int = 0,
+        seed: int = 1,
     ) -> None:
         super().__init__([hypothesis], scheme, seed)
         self.rule = checks.one_of("rule", rule, RULES)

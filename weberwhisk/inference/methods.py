@@ -27,7 +27,7 @@ def posterior(
     reading: ArrayLike,
     method: str = "quadrature",
     *,
-    seed: Seed = None,
+    seed: Seed = 1,
     tolerance: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:

@@ -226,7 +226,7 @@ class Posterior(Shown):
             parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
         return f"{', '.join(parts)}, by {self.method}; {self.status.message}{note}"
 
-    def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> ArvizData:
+    def to_arviz(self, *, draws: int = 1000, seed: Seed = 1) -> ArvizData:
         """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).
 
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;

@@ -239,7 +239,7 @@ def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, 
 def signal_jacobian(
     whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
 ) -> Array:
-    """Derivatives of the base signals to the contact, as `weberwhisk.signal_jacobian` has them."""
+    """Derivatives of the base signals to the contact, as `mechanics.signal_jacobian` has."""
     refuse_hinge(whisker, "signal_jacobian")
     shape, flat = flat_with(whisker, radial_distance, deflection_angle)
     slopes = in_pieces(_signal_jacobian, *flat)

@@ -141,7 +141,7 @@ def signal_jacobian(
     *,
     tolerance: float = TOLERANCE,
 ) -> Array:
-    """Derivatives of the base signals to the contact, as `weberwhisk.signal_jacobian` has them.
+    """Derivatives of the base signals to the contact, as `mechanics.signal_jacobian` has.
 
     At a fixed friction angle: the pass's derivatives of signals and contact point to contact arc
     and force, the latter inverted.

@@ -37,6 +37,11 @@ if TYPE_CHECKING:
     from ..mechanics import Bending
     from ..sensitivity import JNDCurve
 
+__all__ = [
+    "bending", "calibrated", "fill_surface", "jnd_lines", "jnd_surface", "located",
+    "posterior_histogram", "posteriors",
+]  # fmt: skip
+
 
 @styled
 def bending(

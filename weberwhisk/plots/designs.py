@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from ..design.experiment import SimulatedStudy
     from ..design.power_analysis import Power
 
+__all__ = [
+    "ABOUT", "analysed", "information_map", "placements", "planned_jnds", "planned_power",
+    "planned_psychometrics", "power_curve", "rehearsed",
+]  # fmt: skip
+
 #: What the columns of `information_map` are about.
 ABOUT = {"weber_fraction": "k", "hypothesis": "the hypothesis"}
 

@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from ..behaviour import Comparison, PopulationFit, WeberFit
     from ..behaviour.trials import Cells
 
+__all__ = [
+    "binomial_interval", "comparison", "pairs", "population", "psychometric", "psychometrics",
+    "residuals", "shrinkage",
+]  # fmt: skip
+
 
 @styled
 def psychometric(

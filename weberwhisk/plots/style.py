@@ -17,6 +17,29 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ticker import LogLocator, NullFormatter
 
+__all__ = [
+    "COLOURS",
+    "DOUBLE",
+    "LINES",
+    "MARKERS",
+    "SINGLE",
+    "SMALL",
+    "axes_or_new",
+    "bars",
+    "drawable",
+    "errors",
+    "figure_of",
+    "legend_above",
+    "legend_over",
+    "log_numbers",
+    "look",
+    "mark",
+    "new_figure",
+    "open_figure",
+    "shown",
+    "styled",
+]  # fmt: skip
+
 #: Okabe and Ito's colours, dark ones first.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 LINES = ("-", "--", "-.", ":")

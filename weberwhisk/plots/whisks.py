@@ -12,6 +12,8 @@ from .style import COLOURS, DOUBLE, LINES, SINGLE, axes_or_new, legend_above, st
 if TYPE_CHECKING:
     from ..array import Follicle, Place, WhiskerArray
 
+__all__ = ["from_above", "place", "whisker_array"]
+
 
 @styled
 def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:

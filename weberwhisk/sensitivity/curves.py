@@ -33,6 +33,11 @@ from ..receptors import Seed
 from ..whisker import Whisker
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 
+__all__ = [
+    "JNDCurve", "jnd_curve", "jnd_rows", "jnd_sweep", "linear_surface", "touches_jnd",
+    "up_to_the_fold",
+]  # fmt: skip
+
 #: Columns of a `JNDCurve` that are JNDs, m.
 _JNDS = ("closed_form", "propagation", "fisher", "posterior", "posterior_error", "estimator",
          "estimator_error")  # fmt: skip
@@ -144,7 +149,7 @@ def jnd_curve(
     method: str = "quadrature",
     criterion: str = SD,
     n_readings: int = 200,
-    seed: Seed = None,
+    seed: Seed = 1,
 ) -> JNDCurve:
     """The JND of radial distance by every route, one row a contact.
 
@@ -428,7 +433,7 @@ def touches_jnd(
     counts: ArrayLike = (1, 2, 5, 10, 20, 50),
     *,
     n_readings: int = 100,
-    seed: Seed = None,
+    seed: Seed = 1,
 ) -> pd.DataFrame:
     """The JND of a distance against the number of touches, beside 1/√n.
 

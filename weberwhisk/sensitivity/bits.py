@@ -1,0 +1,308 @@
+"""Bits that a reading tells of distance, of one cue and of several together.
+
+"None of the methods exclude any others" (§2, §4): what a fusion of cues gains is the information
+that it adds, in bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from .._util.checks import generator, whole
+from .._util.values import Array, pd, with_units
+from ..cues import Fused
+from ..cues.protocol import Cue
+from ..inference.coordinates import UNITS
+from ..inference.observer import Observer
+from ..inference.quadrature import sums_of
+from ..inference.result import distance_prior
+from ..inference.weighted import density_of_distance
+from ..mechanics.contact import Outcome
+from ..receptors import ReceptorNoise, Seed
+from .jnd import SD, criterion_factor, fisher_jnd
+
+__all__ = [
+    "Bits", "DistancePrior", "added_information", "alone", "fused_jnds", "information",
+    "prior_draws",
+]  # fmt: skip
+
+#: Distances at which the prior is known.
+_PLACES = 20_000
+
+
+class Bits(NamedTuple):
+    """Information in bits, and its Monte Carlo error."""
+
+    value: float
+    error: float
+
+
+class DistancePrior:
+    """The prior of distance that an observer of more unknowns has, for one of fewer.
+
+    Made for `Observer`'s ``prior``; density between places is linear.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self.low, self.high = observer.reach
+        self.r = np.linspace(self.low, self.high, _PLACES + 1)
+        # At the ends themselves there is no contact: what is next to them tells.
+        inside = np.clip(self.r, np.nextafter(self.low, 1.0), np.nextafter(self.high, 0.0))
+        density = distance_prior(observer, inside)
+        mass = np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(self.r))
+        self.density, self.mass = density / mass[-1], np.append(0.0, mass / mass[-1])
+
+    def support(self) -> tuple[float, float]:
+        """Ends of the reach, m."""
+        return self.low, self.high
+
+    def pdf(self, r: ArrayLike) -> Array:
+        """Density, 1/m."""
+        return np.interp(np.asarray(r, dtype=float), self.r, self.density, left=0.0, right=0.0)
+
+    def logpdf(self, r: ArrayLike) -> Array:
+        """ln of the density."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.pdf(r)))
+
+    def cdf(self, r: ArrayLike) -> Array:
+        """The probability of a distance up to r."""
+        return np.interp(np.asarray(r, dtype=float), self.r, self.mass)
+
+    def sf(self, r: ArrayLike) -> Array:
+        """The probability of one beyond r."""
+        return 1.0 - self.cdf(r)
+
+    def ppf(self, probability: ArrayLike) -> Array:
+        """Quantiles, m."""
+        return np.interp(np.asarray(probability, dtype=float), self.mass, self.r)
+
+
+def information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) -> Bits:
+    """How much one reading tells of the radial distance, on average over the prior.
+
+    The mutual information of distance and reading: entropy of the prior of r less the mean
+    entropy of its posterior, everything else integrated out.
+
+    Parameters
+    ----------
+    observer : Observer
+    n_readings : int
+        Contacts drawn from the prior, with a reading each.
+    seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    Bits
+
+    Raises
+    ------
+    ValueError
+        For fewer than two readings.
+
+    Notes
+    -----
+    The mean of ln p(r | reading)/p(r) at the true r, other unknowns integrated out by quadrature.
+    Of the prior flat over the reach R, and JNDs Δ small beside it, it is ⟨log₂(R/(Δ√(2πe)))⟩.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker, cues
+    >>> tap = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> bits = information(tap, n_readings=200, seed=1)
+    >>> print(f"{bits.value:.1f} ± {bits.error:.1f} bits")
+    4.0 ± 0.1 bits
+    """
+    n_readings = whole("n_readings", n_readings, "write 400, say", least=2)
+    contact_seed, reading_seed = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(
+        2
+    )
+    contact = prior_draws(observer, n_readings, contact_seed)
+    reading = observer.read(contact, reading_seed)
+    r = contact[:, 0]
+    with np.errstate(divide="ignore"):  # where a reading excludes its contact, next to never
+        gained = np.log(density_of_distance(sums_of(observer, reading), r))
+    gained = np.maximum(gained, gained[np.isfinite(gained)].min())
+    gained = (gained - DistancePrior(observer).logpdf(r)) / np.log(2)
+    return Bits(float(gained.mean()), float(gained.std(ddof=1) / np.sqrt(n_readings)))
+
+
+def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
+    """Contacts (count, U) drawn from an observer's prior."""
+    rng = np.random.default_rng(seed)
+    if not observer.space.reach_varies:
+        r = DistancePrior(observer).ppf(rng.random(count))
+        return _drawn(observer, r, observer.angle_range(r)[1] if observer.bounded > 1 else r, rng)
+    # Of all that may be, what a further unknown lets the whisker hold.
+    low, high = observer.reach
+    ends = np.linspace(low, high, 514)[1:-1]
+    widest = 1.001 * observer.angle_range(ends)[1].max() if observer.bounded > 1 else 0.0
+    out = np.empty((0, len(observer.unknowns)))
+    while len(out) < count:
+        r = low + (high - low) * rng.random(count)
+        if "radial_distance" in observer.prior:
+            r = _within(observer.prior["radial_distance"], low, high, rng.random(count))
+        drawn = _drawn(observer, r, np.full(count, widest), rng)
+        if observer.bounded > 1:
+            least, width = observer.space.angle_range(drawn[:, 0], drawn)
+            held = drawn[:, 1] < least + width
+        else:
+            held = observer.signals(drawn)[1] == Outcome.HELD
+        out = np.concatenate([out, drawn[held]])
+    return out[:count]
+
+
+def _within(prior: Any, low: Any, high: Any, u: Array) -> Array:
+    """Values (n,) of a distribution between two ends, at probabilities u (n,) there."""
+    below = prior.cdf(low)
+    return np.asarray(prior.ppf(below + u * (prior.cdf(high) - below)))
+
+
+def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator) -> Array:
+    """Contacts (n, U) at distances r (n,), angles within a width (n,) of their range."""
+    _, *others = observer.unknowns
+    drawn = {name: rng.random(len(r)) for name in others}
+    for name, u in drawn.items():
+        if name != "deflection_angle":
+            drawn[name] = observer.prior[name].ppf(u)
+            continue
+        low = observer.angle_range(r)[0]
+        known = observer.prior.get(name)
+        drawn[name] = low + u * width if known is None else _within(known, low, low + width, u)
+    return np.stack([r, *drawn.values()], axis=-1)
+
+
+def alone(observer: Observer) -> list[Observer]:
+    """The observers of the single cues of a fusion, each with its own noise and the same prior.
+
+    Where a cue does not know of the deflection angle, the prior of distance is what the fusion's
+    prior says of it.
+    """
+    return [_part(observer, [i]) for i in range(len(_fused(observer).cues))]
+
+
+def _fused(observer: Observer) -> Fused:
+    if not isinstance(observer.cue, Fused):
+        raise ValueError(f"Only a fusion has parts, got {observer.cue!r}; write Fused(cue, other).")
+    return observer.cue
+
+
+def _part(observer: Observer, kept: list[int]) -> Observer:
+    """The observer of some of a fusion's cues."""
+    fused = _fused(observer)
+    ends = np.cumsum([0, *(len(cue.signal_names) for cue in fused.cues)])
+    noises = []
+    for i in kept:
+        own = observer.noise.part(int(ends[-1]), int(ends[i]), int(ends[i + 1]))
+        if own is None:
+            raise ValueError(
+                f"The noise must be given cue by cue, got {observer.noise!r}; "
+                "write fused.joint(Weber(0.1), Weber(0.1)), say."
+            )
+        noises.append(own)
+    cue: Cue = fused.cues[kept[0]]
+    noise: ReceptorNoise = noises[0]
+    if len(kept) > 1:
+        cue = several = Fused(*(fused.cues[i] for i in kept))
+        noise = several.joint(*noises)
+    prior: dict[str, Any] = {n: d for n, d in observer.prior.items() if n in cue.unknowns}
+    if observer.bounded > 1 and "deflection_angle" not in cue.unknowns:
+        prior["radial_distance"] = DistancePrior(observer)
+    elif cue.farthest(observer.whisker) > observer.reach[1]:  # as far as all cues work
+        low, high = observer.reach
+        prior.setdefault("radial_distance", scipy.stats.uniform(low, high - low))
+    how: dict[str, Any] = {"model": observer.model, "tolerance": observer.tolerance}
+    return Observer(observer.whisker, cue, noise, prior, **how)
+
+
+def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) -> pd.DataFrame:
+    """What each cue of a fusion tells of distance alone, and what it adds to the others.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of a `Fused` cue.
+    n_readings : int
+        As for `information`.
+    seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a cue, and last one of all together: ``cue``, ``alone_bits`` and ``added_bits``, with
+        Monte Carlo errors ``alone_error_bits`` and ``added_error_bits``. What the cues add does
+        not sum to the whole: what two of them tell alike, neither adds.
+
+    Raises
+    ------
+    ValueError
+        As for `alone` and `information`.
+    """
+    parts = alone(observer)
+    seeds = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(2 * len(parts) + 1)
+    whole = information(observer, n_readings=n_readings, seed=seeds[-1])
+    rows = []
+    for i, part in enumerate(parts):
+        rest = _part(observer, [j for j in range(len(parts)) if j != i])
+        single = information(part, n_readings=n_readings, seed=seeds[2 * i])
+        others = information(rest, n_readings=n_readings, seed=seeds[2 * i + 1])
+        added = whole.value - others.value, float(np.hypot(whole.error, others.error))
+        rows.append((repr(part.cue), *single, *added))
+    rows.append(("all", *whole, *whole))
+    columns = ["cue", "alone_bits", "alone_error_bits", "added_bits", "added_error_bits"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -> pd.DataFrame:
+    """JNDs of each cue of a fusion alone and of all together, one row a contact.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of a `Fused` cue.
+    contact : array, shape (..., U)
+        Of all of its unknowns.
+    criterion : str
+        See `criterion_factor`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The unknowns, ``criterion``; Fisher JNDs: of each cue under its name, of the ``best_mm`` of
+        them, of their ``optimal_mm`` combination as though they shared nothing but the distance
+        (1/Δ² = Σ 1/Δᵢ²), and ``together_mm``; and ``gain``, best over together. Where cues
+        share another unknown, together is better than optimal if one tells what the other needs,
+        and worse if both lean on the same prior of it.
+
+    Raises
+    ------
+    ValueError
+        As for `alone`, and for a contact of the wrong shape.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker, cues
+    >>> fused = cues.Fused(cues.Compliance(), cues.ForceMap())
+    >>> table = fused_jnds(Observer(Whisker(50e-3, 100e-6, 5e-6), fused), [30e-3, 0.2])
+    >>> table[["best_mm", "optimal_mm", "together_mm"]].round(3)
+       best_mm  optimal_mm  together_mm
+    0    1.277       1.158        1.158
+    """
+    fused, parts = _fused(observer), alone(observer)
+    place = observer.checked(contact).reshape(-1, len(observer.unknowns))
+    factor = criterion_factor(criterion)
+    jnds = factor * np.stack([fisher_jnd(o, fused.part(o.cue, place)) for o in parts])
+    table = pd.DataFrame(dict(zip(observer.unknowns, place.T, strict=True)))
+    table["criterion"] = criterion
+    names = [f"{i}: {part.cue!r}" for i, part in enumerate(parts, start=1)]
+    table[names] = jnds.T
+    table["best"] = np.min(jnds, axis=0)
+    with np.errstate(divide="ignore"):  # infinite where no cue tells anything alone
+        table["optimal"] = np.sum(jnds**-2.0, axis=0) ** -0.5
+    table["together"] = factor * fisher_jnd(observer, place)
+    table["gain"] = table["best"] / table["together"]
+    return with_units(table, [*names, "best", "optimal", "together"], units=UNITS)
