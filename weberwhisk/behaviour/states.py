@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from .._util import checks
-from .._util.values import Array, Codes, Index, pd
+from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
 from .importance import ImportancePosterior, Target, weighted_draws
 from .likelihood import Draws, WeberModel, gather
@@ -64,8 +64,8 @@ STATE_PRIORS: dict[int, dict[str, Any]] = {
 LEAST = 1e-18  # probability of an answer: sixteen of them can be multiplied
 
 
-@dataclass(frozen=True)
-class States:
+@dataclass(frozen=True, repr=False)
+class States(Fields):
     """An animal that is engaged part of the time, to simulate one.
 
     Parameters
