@@ -18,7 +18,8 @@ from weberwhisk.cues import (
     UnknownRoll,
     UnknownStiffness,
 )
-from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.cues.space_map import IN_SPACE
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.mechanics import rod
@@ -282,7 +283,7 @@ def test_what_space_does_not_know_is_refused():
     with pytest.raises(ValueError, match="UnknownRoll has a prior of it"):
         SpaceMap(roll=None)
     for cue in (ForceMap(), UnknownRoll(SpaceMap(), 0.3), UnknownStiffness(SpaceMap())):
-        with pytest.raises(ValueError, match="Only a SpaceMap tells of the roll"):
+        with pytest.raises(ValueError, match="Only a SpaceMap informs of the roll"):
             UnknownRoll(cue, 0.3)
     with pytest.raises(ValueError, match="give the sd in rad"):
         UnknownRoll(SpaceMap(), 0.0)

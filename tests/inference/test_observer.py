@@ -101,7 +101,7 @@ def test_what_the_closed_form_would_cost_is_true():
     worst = np.max(off_in_jnds(observer, r[:, None]))
     said = float(observer.why.split("up to ")[1].split()[0])
     assert said == pytest.approx(worst, rel=0.1)
-    assert replace(observer, model="closed_form").why == "closed_form was asked for"
+    assert replace(observer, model="closed_form").why == "closed_form was requested"
 
 
 SCENES = [cues.Compliance(), cues.ForceMap(), cues.SpaceMap()]

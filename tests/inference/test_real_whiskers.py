@@ -350,7 +350,7 @@ def test_the_observer_chooses_its_model_and_says_why():
     assert hardly.signals(contact)[0] == pytest.approx(straight.signals(contact)[0], rel=1e-9)
     # A model that was chosen is chosen anew for another whisker; one that is named stays.
     assert replace(hardly, whisker=whisker(20, 8.0)).model == "profile"
-    assert Observer(whisker(20, 8.0), ForceMap(), model="profile").why == "profile was asked for"
+    assert Observer(whisker(20, 8.0), ForceMap(), model="profile").why == "profile was requested"
     exact = Observer(whisker(20, 8.0), ForceMap(), model="profile").signals(contact)[0]
     assert bowed.signals(contact)[0] == pytest.approx(exact, rel=2e-5)
     assert bowed == Observer(whisker(20, 8.0), ForceMap()) != hardly

@@ -2,8 +2,9 @@
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
-from .force_map import ForceMap, SpaceMap
+from .force_map import ForceMap
 from .protocol import Cue, Fused
+from .space_map import SpaceMap
 from .taps import Compliance, Vibration
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibrissa_length import ComparativeLength, VibrissaLength

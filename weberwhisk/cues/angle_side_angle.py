@@ -33,7 +33,7 @@ class AngleSideAngle(Cue):
     """Radial distance from the angles of an object seen from two ends of a known side (§2c, i).
 
     The base is carried from one place to another between two whisks, by a side of known length;
-    at each the angle of first contact is felt, between the side and the whisker. Radial distance
+    at each the angle of first contact is sensed, between the side and the whisker. Radial distance
     is from the second place, r = side·sin(first)/sin(second − first). The object's bearing, the
     true second angle, is not known either.
 
@@ -83,7 +83,7 @@ class AngleSideAngle(Cue):
         if side_sd > side / 4:
             raise ValueError(
                 f"side_sd must be at most a quarter of the side, got {side_sd:g} m for "
-                f"{side:g} m; a side that may be nothing tells nothing."
+                f"{side:g} m; a side that may be 0 does not inform of distance."
             )
         bearings = finite("bearings", self.bearings, "give (low, high) in rad")
         low, high = bearings if bearings.shape == (2,) else (np.nan, np.nan)

@@ -27,8 +27,8 @@ class BalanceOfMoments(Cue):
     """Radial distance from the angle θ_b at which muscle and bent whisker balance (§2h).
 
     The muscle turns the follicle past the impact until the whisker's moment is the muscle's:
-    gain·M(r, θ_b)·L/EI₀ = effort·curve(impact + θ_b). With a known effort the angle alone tells of
-    distance. Otherwise the effort is felt, with noise, as a second signal, and the deflection
+    gain·M(r, θ_b)·L/EI₀ = effort·curve(impact + θ_b). With a known effort the angle alone informs
+    of distance. Otherwise the effort is sensed, with noise, as a second signal, and the deflection
     angle at the balance, which is the true θ_b, is a second unknown. Angles of a curved whisker are
     from where it first touches.
 
@@ -37,7 +37,7 @@ class BalanceOfMoments(Cue):
     impact_angle : float
         Follicle angle at first contact, rad; known.
     effort : float or None
-        Part of the largest muscle moment that is used, known; None where it is felt.
+        Part of the largest muscle moment that is used, known; None where it is sensed.
     curve : MuscleCurve
         Which curve of the largest muscle moment.
     gain, separation, whisking
@@ -52,7 +52,7 @@ class BalanceOfMoments(Cue):
     Notes
     -----
     The first crossing of the two curves is on the rising flank of effort(θ) = gain·M(r,
-    θ)/curve(impact + θ): beyond its peak the whisker flicks past. Known and felt effort differ in
+    θ)/curve(impact + θ): beyond its peak the whisker flicks past. Known and sensed effort differ in
     what is flat beforehand: r alone, or r and θ_d. Of models that are named, the closed form and
     the straight elastica serve; any other is the table of the one that leaves nothing out.
 
@@ -105,12 +105,12 @@ class BalanceOfMoments(Cue):
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """The balance angle, and the effort where it is felt."""
+        """The balance angle, and the effort where it is sensed."""
         return ("balance_angle", "effort")[: 1 + (self.effort is None)]
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """The distance, and the deflection angle where the effort is felt."""
+        """The distance, and the deflection angle where the effort is sensed."""
         return ("radial_distance", "deflection_angle")[: 1 + (self.effort is None)]
 
     @property
@@ -191,7 +191,7 @@ class BalanceOfMoments(Cue):
         return np.asarray(found.x), balanced
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
-        """Balance angle, rad, and effort where it is felt (..., S), and the outcome (...)."""
+        """Balance angle, rad, and effort where it is sensed (..., S), and the outcome (...)."""
         contact = np.asarray(contact, dtype=float)
         forward = _served(whisker)
         r, limit = contact[..., 0], forward.limit(contact[..., 0])
@@ -234,13 +234,13 @@ class BalanceOfMoments(Cue):
         return np.where(held[..., None, None], both, np.nan)
 
     def default_noise(self) -> GeneralisedWeber:
-        """One degree of angle everywhere, and Weber's law, k = 0.1, of the effort."""
+        """One degree of angle at every angle, and Weber's law, k = 0.1, of the effort."""
         if self.effort is None:
             return GeneralisedWeber([0.0, 0.1], floor=[ANGLE_SD, 0.0])
         return GeneralisedWeber(0.0, floor=ANGLE_SD)
 
     def farthest(self, whisker: Any) -> float:
-        """As far as a balance is reached, m; the tip where the effort is felt."""
+        """As far as a balance is reached, m; the tip where the effort is sensed."""
         forward = forward_of(whisker)
         if self.effort is None:
             return forward.reach

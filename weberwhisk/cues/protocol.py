@@ -41,7 +41,7 @@ SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset
 
 
 class Cue(Value):
-    """One of the paper's methods (§2a–h): from a contact to the signals that tell of it.
+    """One of the paper's methods (§2a–h): from a contact to the signals that inform of it.
 
     A contact is an array whose last axis holds the cue's unknowns: radial distance (m), then, if
     it is one, the deflection angle (rad), then whatever else is not known (a stiffness, a side, a
@@ -50,7 +50,7 @@ class Cue(Value):
 
     #: Whether curved whiskers will do, profiles, and friction.
     takes_curved: ClassVar[bool] = False
-    #: Where one unknown has the last signals to itself, and they tell of nothing else: the cue
+    #: Where one unknown has the last signals to itself, and they inform of nothing else: the cue
     #: without.
     all_but_one: ClassVar[Cue | None] = None
 
@@ -199,7 +199,7 @@ def reach_at(whisker: Whisker | ForwardModel, deflection_angle: float, name: str
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Fused(Cue):
-    """Cues that are felt of one contact at once: a cue itself.
+    """Cues of one contact that are measured together: a cue itself.
 
     What several cues do not know by the same name is one unknown, shared. Signals stand one after
     the other, each cue's receptors with their own noise. A contact is held where it is for every

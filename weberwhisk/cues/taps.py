@@ -1,4 +1,4 @@
-"""What a tap tells: how fast its moment grows (§2e), and the vibration that it leaves (§2d)."""
+"""The signals of a tap: how fast its moment grows (§2e), and the vibration that it leaves (§2d)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Compliance(Cue):
     Notes
     -----
     With Weber fractions k_M and k_θ and a wide prior the JND is √(k_M² + k_θ²)·r(1 − r/A): the
-    readings' ratio is what tells. Noise that both share cancels (a clock: ρ = 1, equal fractions).
+    readings' ratio informs of r. Noise that both share cancels (a clock: ρ = 1, equal fractions).
 
     Examples
     --------

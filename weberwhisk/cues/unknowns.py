@@ -20,8 +20,9 @@ from .._util.values import Array, Flags
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
-from .force_map import SIGNALS, SpaceMap
+from .force_map import SIGNALS
 from .protocol import Cue, Encoded, a_cue
+from .space_map import SpaceMap
 
 __all__ = ["Friction", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness"]
 
@@ -300,8 +301,8 @@ class UnknownRoll(_Wrapped):
     """A `SpaceMap` of one more unknown, ``"roll"``: of the plane of curvature about the base, rad.
 
     A whisker rolled by ρ and touched at the azimuth ω bends as one that is not, touched at ω − ρ;
-    its forces and moments are turned by ρ about the base tangent. So what tells of the roll is how
-    a curved whisker bends out of the plane of the contact. A straight one's roll tells of nothing,
+    its forces and moments are turned by ρ about the base tangent. So the roll shows in how
+    a curved whisker bends out of the plane of the contact. A straight one's roll has no effect,
     and is as the prior has it. JNDs at contacts in the plane of curvature do not depend on it, to
     first order: for curves of other contacts give the azimuth a prior such as
     ``scipy.stats.uniform(1.5 - np.pi, 2 * np.pi)``, of middle 1.5.
@@ -338,14 +339,14 @@ class UnknownRoll(_Wrapped):
     def __init__(self, cue: SpaceMap, spread: float) -> None:
         if not isinstance(cue, SpaceMap):
             raise ValueError(
-                f"Only a SpaceMap tells of the roll, got {shown(cue)}; write "
+                f"Only a SpaceMap informs of the roll, got {shown(cue)}; write "
                 "UnknownRoll(SpaceMap(), 0.3), and a known roll as SpaceMap(roll=0.3)."
             )
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
 
     @property
     def all_but_one(self) -> SpaceMap:  # type: ignore[override]
-        """The cue of a straight whisker, whose roll tells of nothing."""
+        """The cue of a straight whisker, whose roll has no effect."""
         return self.cue
 
     def _under(self, whisker: Any, value: Any = None) -> Any:
@@ -395,7 +396,7 @@ class UnknownStiffness(_Wrapped):
     ------
     ValueError
         For a spread that is not positive, a signal that the cue has not, a cue whose stiffness is
-        unknown already or that feels no force, and an `UnknownRoll`.
+        unknown already or that senses no force, and an `UnknownRoll`.
 
     Examples
     --------

@@ -1,7 +1,6 @@
 """Vibrissa length (§2a), of one whisker or of several beside each other (§2b).
 
-What a touch of the tip, of the shaft, or none tells of distance; and which whiskers of an array
-touch.
+Distance from a touch of the tip, of the shaft, or none, and from which whiskers of an array touch.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ __all__ = ["ComparativeLength", "VibrissaLength"]
 class VibrissaLength(Cue):
     """Radial distance from whether a whisker of uncertain length touches, and with its tip (§2a).
 
-    The whisker points at the object. It touches if it is long enough; the touch feels like one of
+    The whisker points at the object. It touches if it is long enough; the touch is sensed as one of
     the tip if the contact lies within the last part of the whisker. What happens is an event, and
     the signals are its chances, over what is not known of the length: a log-normal spread about
     the whisker's own, and with the chance `damage` a break at any place, all equally likely.
@@ -43,7 +42,7 @@ class VibrissaLength(Cue):
     damage : float
         Chance that the whisker has broken off.
     tip_zone : float
-        Part of the whisker at its end within which a contact feels as one of the tip. Assumed.
+        Part of the whisker at its end within which a contact is sensed as one of the tip. Assumed.
     reach : float
         How far out there may be objects, in lengths of the whisker: what bounds the distance
         where nothing is touched.

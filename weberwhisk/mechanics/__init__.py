@@ -1,6 +1,6 @@
 """Whisker mechanics: four models of a beam, each of which leaves less out.
 
-`bend`, `press`, `flick_past` and `signal_jacobian` stand before all models, `choose_model` says
+`bend`, `press`, `flick_past` and `signal_jacobian` call any model, `choose_model` says
 which one a scene needs. The models themselves are the modules `closed_form`, `elastica`, `profile`
 and `rod`; `modes` has the small vibrations.
 """

@@ -401,7 +401,7 @@ def resolve(
 ) -> Path:
     """`follow` with as many steps as each row needs for an error below `tolerance`.
 
-    A pilot of few steps, or of `steps`, tells from its error estimate how many are needed. Rows
+    The error estimate of a pilot of few steps, or of `steps`, says how many are needed. Rows
     that `MOST` steps do not resolve keep their error; no warning is raised.
     """
     bound = np.broadcast_to(np.asarray(tolerance, dtype=float), arc.size)

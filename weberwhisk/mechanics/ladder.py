@@ -341,7 +341,7 @@ def _press_in_space(
     height, push = np.nan_to_num(height), theta - azimuth  # out of reach it is, at any height
     place = [np.cos(height) * np.cos(theta), np.cos(height) * np.sin(theta), np.sin(height)]
     point = r[..., None] * np.stack(np.broadcast_arrays(*place), axis=-1)
-    # A point alone does not tell half a turn and more from what is left to a whole one.
+    # A point alone does not distinguish more than half a turn from the rest of a whole one.
     b = _module("rod").press(whole, point, tilt, plane=roll, round_back=np.abs(push) > np.pi)
     # The tangent is within half a turn of the line to the contact, on whichever turn that is.
     slant = np.arctan2(b.tangent[..., 1], b.tangent[..., 0]) - theta

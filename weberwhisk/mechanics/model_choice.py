@@ -8,7 +8,7 @@ part along g_θ where the deflection angle is unknown too), their ratio is
 
     bias/JND = |q · δ/s| / k:
 
-the relative error along the one direction of signals that tells of r. One signal: |δ/s|/k. Each
+the relative error along the one direction of signals that informs of r. One signal: |δ/s|/k. Each
 scene is solved with every model up to the one that models all there is in it.
 
 Of an `Observer`, whose cue and noise may be any, the largest bias (JᵀWJ)⁻¹JᵀWδ over contacts all
@@ -119,7 +119,7 @@ def choose_model(
     weber_fraction: ArrayLike | None = 0.1,
     tolerance: ArrayLike = 0.1,
 ) -> Choice:
-    """The cheapest model of the ladder that each scene needs, and why.
+    """The cheapest model that each scene needs, and why.
 
     Parameters
     ----------
@@ -127,8 +127,8 @@ def choose_model(
     radial_distance, deflection_angle, friction_angle, roll : float or array
         The scenes, as for `press`.
     cue : object with `signal_names` and `unknowns`, optional
-        Which signals tell of the distance, such as ``cues.ForceMap()``; by default the moment at a
-        known deflection angle, as in ``cues.Compliance()``.
+        The signals that inform of the distance, such as ``cues.ForceMap()``; by default the moment
+        at a known deflection angle, as in ``cues.Compliance()``.
     weber_fraction : float or array, or None
         k of each signal's noise. None judges the signals themselves, whatever is made of them.
     tolerance : float or array
@@ -277,7 +277,7 @@ def chosen(observer: Any) -> Chosen:
 def why(observer: Any) -> str:
     """Which model of the mechanics serves an observer, and why."""
     if not isinstance(observer.model, Chosen):
-        return f"{observer.model} was asked for"
+        return f"{observer.model} was requested"
     forward = observer.forward
     if forward.is_plain:
         return (
@@ -304,9 +304,7 @@ def _roll(observer: Any) -> str:
     straight = observer.forward.is_flat or observer.solver == "elastica"
     if "roll" not in observer.unknowns or not straight:
         return ""
-    return (
-        "Of a whisker that is taken as straight nothing tells the roll: it is as its prior has it"
-    )
+    return "A whisker taken as straight does not inform of the roll: its posterior is its prior"
 
 
 def _table(observer: Any) -> str:
@@ -352,7 +350,7 @@ def _shape_at_rest(observer: Any) -> str:
 
 
 def _takes_curved(observer: Any) -> bool:
-    """Whether it could be told the shape at rest."""
+    """Whether it can take the shape at rest into account."""
     if not observer.cue.takes_curved or "azimuth" not in observer.unknowns:
         return bool(observer.cue.takes_curved)
     forward = observer.forward  # in space curved ones take no hinge, and with more unknown seconds

@@ -148,7 +148,7 @@ class LogNormal(Proportional):
 class Events(ReceptorNoise):
     """One event out of C, of which the signals are the chances of the first C − 1.
 
-    A touch is not felt more or less: it happens or it does not, with chances that depend on the
+    A touch has no magnitude: it happens or it does not, with chances that depend on the
     contact. The last event's chance is what the others leave, so that the covariance is regular.
 
     Parameters
