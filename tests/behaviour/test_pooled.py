@@ -8,7 +8,6 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.behaviour import (
     CueEncoding,
-    PlaceEncoding,
     PooledEncoding,
     response_probability,
     task_named,
@@ -145,9 +144,8 @@ def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
     assert found.table["power"].between(0, 1).all()
 
 
-def test_plans_keep_curved_pooled_and_placed_observers_in_their_files(looks) -> None:
+def test_plans_keep_curved_and_pooled_observers_in_their_files(looks) -> None:
     observer = ww.Observer(CURVED, ww.cues.Friction(ww.cues.ForceMap(), angle=0.2))
-    array = ww.ArrayObserver(ww.WhiskerArray("rat", "right").protract(0.7))
     hinged = ww.Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=1e-5)
     tap, force_map = ww.cues.Compliance(), ww.cues.ForceMap()
     others = [
@@ -159,7 +157,6 @@ def test_plans_keep_curved_pooled_and_placed_observers_in_their_files(looks) -> 
     for encoding in (
         looks[1].encoding,
         PooledEncoding.of_touches(observer, [0.1, 0.2]),
-        PlaceEncoding(array, (16e-3, 5e-3)),
         *(CueEncoding(other, 0.2) for other in others),
     ):
         assert plain(_reader().structure(plain(encoding), Encoding)) == plain(encoding)

@@ -7,7 +7,7 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 from .comparison import Comparison, compare
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
-from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
+from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
 from .fit import StateFit, WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
@@ -32,7 +32,6 @@ __all__ = [
     "LogAxisEncoding",
     "LogEncoding",
     "PercentCorrect",
-    "PlaceEncoding",
     "PooledEncoding",
     "PopulationFit",
     "PopulationStatus",

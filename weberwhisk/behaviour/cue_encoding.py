@@ -1,4 +1,4 @@
-"""The whisker as an encoding: a place encoded by a cue, by several looks, or by a whole array.
+"""The whisker as an encoding: a distance encoded by a cue, or by several looks.
 
 Independent looks at one distance add their precisions. What is encoded is the distance itself, with
 the sd that they leave together, to first order in the noise.
@@ -25,7 +25,6 @@ from ..sensitivity import weber_propagation
 
 __all__ = [
     "CueEncoding",
-    "PlaceItself",
     "PooledEncoding",
 ]
 
@@ -240,21 +239,8 @@ class _Distance(CueEncoding):
     _one_signal = False
 
 
-class PlaceItself:
-    """The place itself is encoded: a greater one as greater, NaN where no signal informs it."""
-
-    direction: ClassVar[int] = 1
-
-    def mean(self, stimulus: ArrayLike) -> Array:
-        x = np.asarray(stimulus, dtype=float)
-        return np.where(np.isfinite(self.sd_per_weber_fraction(x)), x, np.nan)
-
-    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
-        raise NotImplementedError
-
-
 @dataclass(frozen=True, repr=False)
-class PooledEncoding(PlaceItself, Fields):
+class PooledEncoding(Fields):
     """One distance from several independent looks, pooled by their precision.
 
     Parameters
@@ -287,6 +273,7 @@ class PooledEncoding(PlaceItself, Fields):
     np.float64(2.0)
     """
 
+    direction: ClassVar[int] = 1  # a greater distance is encoded as greater
     looks: tuple[CueEncoding, ...]
     offsets: tuple[float, ...] = ()
 
@@ -340,6 +327,11 @@ class PooledEncoding(PlaceItself, Fields):
         ends = [o + np.array(k.domain) for k, o in zip(self.looks, self.offsets, strict=True)]
         low, high = min(e[0] for e in ends), max(e[1] for e in ends)
         return float(max(low, 0.0)), float(high)
+
+    def mean(self, stimulus: ArrayLike) -> Array:
+        """The distance itself, NaN where no look informs it."""
+        x = np.asarray(stimulus, dtype=float)
+        return np.where(np.isfinite(self.sd_per_weber_fraction(x)), x, np.nan)
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         """Sd of the pooled distance, for a Weber fraction of 1."""

@@ -7,7 +7,7 @@ An encoding is the only thing a fit knows about a stimulus. Anything with the fo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,10 +15,7 @@ from numpy.typing import ArrayLike
 from .._util import checks
 from .._util.values import Array, Fields, Flags, Index
 from ..mechanics import flick_past
-from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
-
-if TYPE_CHECKING:
-    from ..array import ArrayObserver
+from .cue_encoding import CueEncoding, PooledEncoding
 
 __all__ = [
     "NOISES",
@@ -27,7 +24,6 @@ __all__ = [
     "IdentityEncoding",
     "LogAxisEncoding",
     "LogEncoding",
-    "PlaceEncoding",
     "Signals",
     "UnitEncodings",
     "checked_encoding",
@@ -141,96 +137,6 @@ class LogAxisEncoding(LogEncoding, Fields):
         return np.ones_like(np.asarray(stimulus, dtype=float))
 
 
-@dataclass(frozen=True, repr=False)
-class PlaceEncoding(PlaceItself, Fields):
-    """A pole that slides along a line, sensed by all whiskers of an array that touch it.
-
-    Parameters
-    ----------
-    observer : ArrayObserver
-        The whiskers where they are, their cues and receptors.
-    start : (float, float)
-        x and y, m, in head coordinates, where the stimulus is 0.
-    direction_deg : float
-        Which way the pole goes: 0 to the right of the head, 90 rostrally.
-    length : float
-        How far, in the stimulus's unit.
-    unit : float
-        Metres in one unit of the stimulus.
-    weber_fraction : float
-        Of the receptors of `observer`, by which its sds are divided.
-    sideways_known : bool
-        Whether the animal knows on which line the pole slides.
-
-    Notes
-    -----
-    The sd is that of the Fisher information of all whiskers together, [I⁻¹]ₛₛ^½ along the line (or
-    Iₛₛ^−½ where the line is known). What is known of azimuths, `angle_sd`, does not go with k: it
-    is counted as if it did.
-
-    Examples
-    --------
-    >>> import weberwhisk as ww
-    >>> array = ww.WhiskerArray("rat", "right").protract(np.radians(40))
-    >>> few, all_ = (PlaceEncoding(ww.ArrayObserver(a), (16e-3, 5e-3), length=8e-3)
-    ...              for a in (array.only(["C3"]), array))
-    >>> bool(all_.sd_per_weber_fraction(4e-3) < few.sd_per_weber_fraction(4e-3))
-    True
-    """
-
-    observer: ArrayObserver
-    start: tuple[float, float]
-    direction_deg: float = 0.0
-    length: float = 10e-3
-    unit: float = 1.0
-    weber_fraction: float = 0.1
-    sideways_known: bool = True
-
-    def __post_init__(self) -> None:
-        hint = "write ArrayObserver(WhiskerArray('rat', 'right').protract(0.7)), say"
-        checks.kind("observer", self.observer, "an ArrayObserver", "touching", hint)
-        checks.positive("length", self.length, "write 10e-3, say")
-        checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
-        checks.positive("weber_fraction", self.weber_fraction, "write 0.1, say")
-        if checks.finite("start", self.start, "give x and y in metres").shape != (2,):
-            raise ValueError(
-                f"start must be x and y, got {self.start!r}; write (20e-3, 5e-3), say."
-            )
-        checks.number("direction_deg", self.direction_deg, "give degrees")
-
-    @property
-    def domain(self) -> tuple[float, float]:
-        """The ends of the line."""
-        return 0.0, float(self.length)
-
-    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
-        """Sd of the place along the line, for a Weber fraction of 1."""
-        x = np.asarray(stimulus, dtype=float)
-        turn = np.radians(self.direction_deg)
-        along = np.array([np.cos(turn), np.sin(turn)])
-        axes = np.stack([along, [-along[1], along[0]]])
-        places = np.asarray(self.start) + self.unit * x.reshape(-1, 1) * along
-        information = axes @ self.observer.information(places).sum(axis=1) @ axes.T
-        precision = information[:, 0, 0].copy()
-        if not self.sideways_known:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                precision -= np.nan_to_num(information[:, 0, 1] ** 2 / information[:, 1, 1])
-        known = precision > 1e-12 * np.maximum(information[:, 0, 0], 1e-300)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sd = np.where(known, precision**-0.5, np.nan)
-        return sd.reshape(x.shape) / (self.unit * self.weber_fraction)
-
-    def outcome(self, stimulus: float) -> str:
-        """Why no place is known, in words."""
-        return "no whisker touches the pole there"
-
-    @property
-    def described(self) -> str:
-        array = self.observer.array
-        shape = "curved" if array.curved else "straight"
-        return f"the {len(array.whiskers)} {shape} whiskers of a {array.species}'s array together"
-
-
 @dataclass(frozen=True)
 class ConstantNoise:
     """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
@@ -261,7 +167,7 @@ class ConstantNoise:
 
 
 #: Encodings of a distance in metres, or in units of so many.
-OF_DISTANCE = (CueEncoding, PooledEncoding, PlaceEncoding)
+OF_DISTANCE = (CueEncoding, PooledEncoding)
 
 
 def described(encoding: Encoding) -> str:

@@ -20,7 +20,6 @@ from scipy import stats
 from .. import __version__, cues, receptors
 from .._util import checks
 from .._util.values import Array, counted, paragraphs
-from ..array import ArrayObserver, WhiskerArray
 from ..behaviour import encodings
 from ..behaviour.priors import Priors
 from ..inference.observer import Observer
@@ -49,7 +48,7 @@ CHOICES: dict[type, tuple[type, ...]] = {
         cues.UnknownCurvature, cues.UnknownHinge, cues.UnknownRoll, cues.UnknownStiffness,
     ),
     encodings.Encoding: (
-        encodings.CueEncoding, encodings.PooledEncoding, encodings.PlaceEncoding,
+        encodings.CueEncoding, encodings.PooledEncoding,
         encodings.IdentityEncoding, encodings.LogEncoding, encodings.LogAxisEncoding,
         encodings.ConstantNoise,
     ),
@@ -58,7 +57,7 @@ CHOICES: dict[type, tuple[type, ...]] = {
 CLASSES: dict[str, type] = {
     kind.__name__: kind
     for kind in chain(
-        (Whisker, WhiskerArray, Observer, ArrayObserver, Priors, Hypothesis, Scheme, Constraints),
+        (Whisker, Observer, Priors, Hypothesis, Scheme, Constraints),
         (Goal, SubjectPopulation, Plan),
         *CHOICES.values(),
     )
