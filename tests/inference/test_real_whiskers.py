@@ -338,10 +338,10 @@ def test_the_observer_chooses_its_model_and_says_why():
     bowed = Observer(whisker(20, 8.0), ForceMap())
     assert bowed.model == "profile"
     assert "elastica is off by up to" in bowed.why
-    hardly = Observer(whisker(20, 0.005), ForceMap())
+    hardly = Observer(whisker(20, 0.0015), ForceMap())
     assert hardly.model == "elastica"
     assert ", 0.1 allowed" in hardly.why
-    assert Observer(whisker(20, 0.005), ForceMap(), tolerance=1e-4).model == "profile"
+    assert Observer(whisker(20, 0.0015), ForceMap(), tolerance=1e-4).model == "profile"
     plain = Observer(whisker(20, 0.0), ForceMap(), tolerance=0.2)
     assert plain.model == "elastica"
     assert plain.why.endswith(", 0.2 allowed")
