@@ -216,8 +216,9 @@ def test_located_contacts_have_a_methods_paragraph() -> None:
     bent = ww.press(whisker, [20e-3, 20e-3, 30e-3], 0.3)
     signals = {"moment_uNm": bent.moment * 1e6, "axial_force_uN": bent.axial_force * 1e6}
     table = pd.DataFrame(signals | {"touch": [1, 1, 2]})
-    text = methods_paragraph(ww.locate(table, whisker, touch="touch"))
+    text = methods_paragraph(ww.locate(table, whisker, touch="touch", noise=0.1))
     for said in ("3 rows of a table (3 converged)", "2 touches were located", "Weber(0.1).",
+                 "its curvature has a normal prior",
                  "radial_distance flat from 0 to 50 mm", "stiffness lognorm(", "ForceMap(",
                  f"weberwhisk {ww.__version__} (NumPy {np.__version__}"):  # fmt: skip
         assert said in text

@@ -406,11 +406,10 @@ def test_whatever_takes_a_named_whisker_as_straight_says_so():
     assert track.note == Observer(plain, ForceMap("moment"), Weber(0.1)).note != ""
     table = pd.DataFrame(readings, columns=["moment", "axial_force"])
     located = ww.locate(table, plain)
-    assert any(note.startswith(said) for note in located.attrs["notes"])
+    assert any("write curvature=0 of a straight whisker" in n for n in located.attrs["notes"])
     text = methods_paragraph(located)
-    assert said in text
     assert "write" not in text  # nor what to write for another model
-    assert "Whisker: 33.6 mm long, radius 69.5 to 1.75 µm, straight." in text
+    assert "its curvature has a normal prior of mean 0 and sd 17 /m" in text
     curved = Whisker.from_identity("C2", curved=True)
     assert not any("straight" in note for note in ww.locate(table, curved).attrs["notes"])
     for rows in (table, table * [-1, 1]):  # also where all of them are mirrored

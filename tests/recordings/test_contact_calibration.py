@@ -67,7 +67,7 @@ def test_what_few_taps_leave_open_widens_the_distances() -> None:
     for whisker, cue, noise in found.samples:
         k = noise.weber_fraction
         slopes = table["moment_rate"].to_numpy() * np.exp(k * np.array([[-1.0], [0.0], [1.0]]))
-        inside = whisker.compliance_constant / slopes - cue.hinge
+        inside = cue.gain * whisker.compliance_constant / slopes - cue.hinge
         low, middle, high = 1 / (1 / inside + 1 / whisker.apex_distance)
         moved.append(middle)
         own.append((high - low) / 2)

@@ -85,7 +85,10 @@ def shared_unknowns(observer: Observer) -> list[str]:
 
 
 def one_distance(
-    groups: Sequence[ReadingGroup], count: int, spans: Array | None = None
+    groups: Sequence[ReadingGroup],
+    count: int,
+    spans: Array | None = None,
+    exponent: Array | None = None,
 ) -> list[OneDistance]:
     """The posteriors of the distances of `count` sets of readings.
 
@@ -98,7 +101,11 @@ def one_distance(
         How far up to the largest angle the angles of a set may go, as a share: with a span s
         shares u have the density exp(−(u/s)⁴), and each span is as likely. By default, and where
         the angle has a prior, angles are as the observer has them.
+    exponent : array, shape (count,), optional
+        The power to which the likelihood of each set is taken: below 1 where its readings have
+        noise in common.
     """
+    power = np.ones(count) if exponent is None else exponent
     prior = groups[0].observer.prior.get("radial_distance")
     groups = [g._replace(observer=_without_prior(g.observer)) for g in groups]
     observer = groups[0].observer
@@ -107,14 +114,14 @@ def one_distance(
     names = shared_unknowns(observer)
     every = np.arange(count)
     if not names:
-        return _products(groups, every, prior, spans, None, 0)
+        return _products(groups, every, prior, spans, None, 0, power)
     axis = Axis(names[0], observer)
     known: list[dict[int, OneDistance]] = [{} for _ in every]
     for halvings in range(HALVINGS + 1):
         nodes = axis.nodes(halvings)
         for node in nodes.tolist():
             wanted = [i for i in every if _is_near(known[i], node, int(nodes[1] - nodes[0]))]
-            found = _products(groups, np.array(wanted), prior, spans, axis, node)
+            found = _products(groups, np.array(wanted), prior, spans, axis, node, power)
             log_prior = float(axis.log_prior(node))
             for i, one in zip(wanted, found, strict=True):
                 known[i][node] = replace(one, log_evidence=one.log_evidence + log_prior)
@@ -283,7 +290,7 @@ class _Curve:
 
 def _products(
     groups: Sequence[ReadingGroup], sets: Index, prior: Any, spans: Array | None, axis: Axis | None,
-    node: int,
+    node: int, power: Array,
 ) -> list[OneDistance]:  # fmt: skip
     """The posteriors of sets of readings where a shared unknown is given at a node."""
     curves: dict[int, list[_Curve | None]] = {int(i): [] for i in sets}
@@ -303,15 +310,16 @@ def _products(
     value = float(axis.value(node)) if axis else None
     return [
         _product(observer, [c for c in curves[int(i)] if c], prior, value,
-                 float(np.sqrt(np.mean(np.square(errors[int(i)])))))
+                 float(np.sqrt(np.mean(np.square(errors[int(i)])))), float(power[i]))
         if all(curves[int(i)]) else OneDistance()
         for i in sets
     ]  # fmt: skip
 
 
 def _product(
-    observer: Observer, curves: list[_Curve], prior: Any, value: float | None, error: float
-) -> OneDistance:
+    observer: Observer, curves: list[_Curve], prior: Any, value: float | None, error: float,
+    power: float,
+) -> OneDistance:  # fmt: skip
     """The posterior of one set."""
     low, high = max(c.low for c in curves), min(c.high for c in curves)
     sharp = np.zeros(0)
@@ -329,7 +337,8 @@ def _product(
 
     def total(x: Array) -> Array:
         flat = _log_prior(observer, x, value)
-        out = sum(curve(x) for curve in curves) - (len(curves) - 1) * flat[:, None]
+        out = sum(curve(x) for curve in curves) - len(curves) * flat[:, None]
+        out = power * out + flat[:, None]
         if prior is not None:
             out = out + prior.logpdf(observer.space.distance(x))[:, None]
         return np.asarray(logsumexp(out, axis=1) - np.log(out.shape[1]))
@@ -472,9 +481,10 @@ def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
     best = max(known.values(), key=lambda one: one.log_evidence)
     at = next(k for k, one in known.items() if one is best)
     inner = share[held] @ [known[int(k)].error for k in every[held]]
+    evidence = best.log_evidence + np.log(axis.unit * step / share.max())
     return OneDistance(
-        mean, sd, r, np.gradient(mass @ np.array(below), r), 0.0, max(error, float(inner)),
-        (value, spread, float(axis.value(at))), best.worse,
+        mean, sd, r, np.gradient(mass @ np.array(below), r), float(evidence),
+        max(error, float(inner)), (value, spread, float(axis.value(at))), best.worse,
     )  # fmt: skip
 
 

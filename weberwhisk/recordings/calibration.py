@@ -10,17 +10,29 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
+from scipy.special import ndtri
 from scipy.stats import f as f_distribution
 
 from .. import domain
 from .._util import checks
-from .._util.values import Array, Shown
+from .._util.values import Array, Index, Shown
 from ..cues import Cue
 from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
 from .columns import likely_prefix, read_contacts
+from .noise import curvature_at
+
+__all__ = ["Calibration", "HingedTap", "averaged", "calibrate"]
+
+#: Taps within this share of the length of each other are at one distance.
+NEAR = 0.01
+#: Draws of the posterior that `locate` goes by: their mean's sd is a fifth of what they add.
+SAMPLES = 24
+#: Beliefs, mean and sd: logit of length over apex distance; ln of hinge over length, of the misfit
+#: of one distance, and of k.
+BELIEFS = np.array([[1.5, 2.0], [-3.0, 2.0], [-4.5, 1.5], [-3.0, 1.5]])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,11 +89,13 @@ class Calibration(Shown):
         With the apex distance found, and in SI units the stiffness; else the gain takes it up.
     cue : HingedTap
     noise : Weber
-        The sensor's own Weber fraction. ``locate(table, c.whisker, cue=c.cue, noise=c.noise)``
-        takes all three as exact, ``locate(table, c)`` does not.
+        The sensor's own Weber fraction: how taps at one distance scatter.
+        ``locate(table, c.whisker, cue=c.cue, noise=c.noise)`` takes all three as exact,
+        ``locate(table, c)`` does not.
     parameters : DataFrame
         Posterior mean, sd and 95 % interval of stiffness (N m²) or gain, apex distance and hinge
-        (mm), Weber fraction.
+        (mm), misfit, Weber fraction. The misfit is the sd of what the slopes at one distance have
+        in common beside the curve, as a share of them.
     residuals : DataFrame
         A row a tap: distance, slope measured and fitted, and the residual in sds.
     left_out : DataFrame
@@ -89,12 +103,13 @@ class Calibration(Shown):
         a share of the length.
     p_value : float
         Of the scatter of the distances' means about the curve, beside that of taps at one distance
-        (F test of lack of fit). NaN where no distance was tapped twice.
+        (F test of lack of fit). NaN where that cannot be tested: no distance was tapped twice (to
+        within 1 % of the length), or there are no more distances than parameters.
     effective_draws : float
         Of the posterior: below some hundred its numbers are rough.
     samples : tuple of (Whisker, HingedTap, Weber)
-        Some draws of the posterior. ``locate(table, c)`` is the mean over them, so that what the
-        taps left open widens the distances.
+        Some draws of the posterior, the misfit of a distance in their gain. ``locate(table, c)``
+        is the mean over them, so that what the taps left open widens the distances.
     by_velocity : bool
         Whether slopes were divided by an angular velocity, which contacts then need too.
     """
@@ -119,8 +134,13 @@ class Calibration(Shown):
 
     @property
     def fits(self) -> bool:
-        """Whether the curve explains the distances' means (p above 0.01, or unknown)."""
-        return not self.p_value < 0.01
+        """Whether the curve was tested and explains the distances' means (p above 0.01)."""
+        return self.p_value >= 0.01
+
+    @property
+    def misfit(self) -> float:
+        """Sd of what slopes at one distance have in common beside the curve, as a share."""
+        return float(self.parameters["mean"]["misfit"])
 
     @property
     def message(self) -> str:
@@ -128,9 +148,14 @@ class Calibration(Shown):
         worst = self.left_out["error_share"].abs().max()
         left = f"a distance left out is found within {100 * worst:.1f} % of the length"
         if self.fits:
-            return f"The model fits; {left}."
+            return f"The model fits (p = {self.p_value:.2g}); {left}."
+        if np.isnan(self.p_value):
+            return f"Whether the model fits cannot be tested: tap distances several times; {left}."
         hint = "; let the base be a hinge" if self.cue.hinge == 0 else ""
-        return f"The model does not fit (p = {self.p_value:.1g}){hint}; {left}."
+        return (
+            f"The model does not fit (p = {self.p_value:.1g}){hint}; slopes at one distance are "
+            f"{100 * self.misfit:.2g} % (sd) off, which widens what is located; {left}."
+        )
 
 
 def calibrate(
@@ -150,11 +175,12 @@ def calibrate(
     ----------
     table : DataFrame or path
         A row a tap: `radial_distance_mm` and `moment_rate`, the slope of the signal over time; with
-        `angular_velocity` the slope is divided by that.
+        `angular_velocity` the slope is divided by that. Several taps at each distance tell the
+        sensor's noise from what the model lacks.
     whisker : Whisker
         Its length, base radius and modulus; taper and stiffness (or gain) are found.
     columns, units
-        As of `locate`.
+        As of `locate`, of ``radial_distance`` too.
     counts : bool
         The slope is in counts a second: the sensor's gain is found, with the whisker's stiffness as
         given, since one slope cannot tell the two apart.
@@ -190,7 +216,6 @@ def calibrate(
     checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
     draws = checks.whole("draws", draws, "write 20000, say", least=1000)
     r, y, by_velocity = _taps(table, whisker, columns, units, counts)
-    places = np.unique(r)
     rng = checks.generator(seed)
     mode, covariance = _mode(r, y, whisker, hinge)
     root = np.linalg.cholesky(covariance)
@@ -198,15 +223,15 @@ def calibrate(
     df = 5  # Student's tails about the mode, heavier than the posterior's
     wider = np.sqrt(df / rng.chisquare(df, draws))[:, None]
     x = mode + (normal * wider) @ root.T
-    log = _log_density(x, r, y, whisker)
+    log = _log_density(x, r, y, _first_taps(r, whisker), whisker)
     log += 0.5 * (df + len(mode)) * np.log1p(((normal * wider) ** 2).sum(axis=1) / df)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    scale, apex, give, k = _natural(x, whisker)
+    scale, apex, give, misfit, k = _natural(x, whisker)
     unit = whisker.compliance_constant if counts else 3.0
     named = {"gain" if counts else "stiffness_N_m2": scale / unit, "apex_distance_mm": 1e3 * apex}
     named |= {"hinge_mm": 1e3 * give} if hinge else {}
-    named["weber_fraction"] = k
+    named |= {"misfit": misfit, "weber_fraction": k}
     rows = {}
     for name, values in named.items():
         mean = weight @ values
@@ -216,64 +241,72 @@ def calibrate(
         rows[name] = {"mean": mean, "sd": sd, "low_95": low, "high_95": high}
     parameters = pd.DataFrame.from_dict(rows, orient="index")
     found, cue = _as_found(mode, whisker, counts)
-    best_scale, best_apex, best_give, _ = (float(v) for v in _natural(mode, whisker))
+    best_scale, best_apex, best_give = (float(v) for v in _natural(mode, whisker)[:3])
     noise = Weber(float(rows["weber_fraction"]["mean"]))
     fitted = best_scale * _slope(r, best_apex, best_give)
     residual = (y / fitted - 1) / noise.weber_fraction
     residuals = pd.DataFrame(
         {"radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted, "residual_sd": residual}
     )
-    # Draws that `locate` goes by: their mean's sd is a fifth of what they add.
-    kept = rng.choice(draws, 24, p=weight)
+    kept = rng.choice(draws, SAMPLES, p=weight)
+    off = misfit[kept] * ndtri((rng.permutation(SAMPLES) + 0.5) / SAMPLES)
+    samples = tuple(
+        (*_as_found(x[i], whisker, counts, 1 + o), Weber(float(k[i])))
+        for i, o in zip(kept, off, strict=True)
+    )
     return Calibration(
-        found, cue, noise, parameters, residuals,
-        _left_out(r, y, whisker, hinge), _lack_of_fit(r, y / fitted, len(mode) - 1, places),
-        float(1 / (weight**2).sum()),
-        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i]))) for i in kept), by_velocity,
+        found, cue, noise, parameters, residuals, _left_out(r, y, whisker, hinge),
+        _lack_of_fit(r, y / fitted, len(mode) - 2, whisker), float(1 / (weight**2).sum()),
+        samples, by_velocity,
     )  # fmt: skip
 
 
-def _as_found(x: Array, whisker: Whisker, counts: bool) -> tuple[Whisker, HingedTap]:
-    """The whisker and its sensor at x."""
-    scale, apex, give, _ = (float(v) for v in _natural(x, whisker))
+def _as_found(
+    x: Array, whisker: Whisker, counts: bool, times: float = 1.0
+) -> tuple[Whisker, HingedTap]:
+    """The whisker and its sensor at x, slopes being `times` those of the model."""
+    scale, apex, give = (float(v) for v in _natural(x, whisker)[:3])
     tip = whisker.base_radius * (1 - whisker.length / apex)
     modulus = whisker.youngs_modulus
     if not counts:
         modulus = scale / 3 / (np.pi / 4 * whisker.base_radius**4)
     found = replace(whisker, tip_radius=tip, youngs_modulus=modulus)
-    return found, HingedTap(give, float(scale / found.compliance_constant) if counts else 1.0)
+    gain = float(scale / found.compliance_constant) if counts else 1.0
+    return found, HingedTap(give, times * gain)
 
 
 def _taps(
     table: Any, whisker: Whisker, columns: Any, units: Any, counts: bool
 ) -> tuple[Array, Array, bool]:
     """Distances, m, and slopes of the taps; whether these were divided by a velocity."""
-    raw, si, found = read_contacts(table, columns, units)
-    if "radial_distance_mm" not in raw or "moment_rate" not in si:
+    _, si, found = read_contacts(table, columns, units)
+    if missing := [name for name in ("radial_distance", "moment_rate") if name not in si]:
         raise ValueError(
-            "A calibration needs the columns radial_distance_mm and moment_rate; map the slope "
-            'with columns={"moment_rate": …}.'
+            "A calibration needs the columns radial_distance_mm and moment_rate; map "
+            f'{" and ".join(missing)} with columns={{"{missing[0]}": …}}.'
         )
-    r = 1e-3 * pd.to_numeric(raw["radial_distance_mm"], errors="coerce").to_numpy(dtype=float)
+    r = si["radial_distance"]
     y = si["moment_rate"] / si.get("angular_velocity", 1.0)
     known = np.isfinite(r) & np.isfinite(y)
-    r, y = r[known], y[known]
-    if len(r) < 5 or len(np.unique(r)) < 4:
-        raise ValueError(
-            f"A calibration takes five taps or more at four distances or more, got {len(r)} at "
-            f"{len(np.unique(r))}; add taps."
-        )
+    order = np.argsort(r[known], kind="stable")
+    r, y = r[known][order], y[known][order]
     off = (r <= 0) | (r > whisker.length)
     if off.any():
         raise ValueError(
             f"A distance of {1e3 * r[off][0]:g} mm is not on a whisker of "
             f"{1e3 * whisker.length:g} mm; radial_distance_mm is in millimetres."
         )
-    if np.median(r) < domain.CONTACTS[0] * whisker.length:
+    if len(r) and np.median(r) < domain.CONTACTS[0] * whisker.length:
         raise ValueError(
             f"Half of the taps are nearer than {1e3 * np.median(r):.2g} mm, on a whisker of "
             f"{1e3 * whisker.length:g} mm: did you pass metres? radial_distance_mm is in "
             "millimetres."
+        )
+    places = len(_first_taps(r, whisker))
+    if len(r) < 5 or places < 4:
+        raise ValueError(
+            f"A calibration takes five taps or more at four distances or more, got {len(r)} at "
+            f"{places}; add taps."
         )
     if np.any(y <= 0):
         raise ValueError(f"Slopes must be above zero, got {y[y <= 0][0]:g}; leave such taps out.")
@@ -290,72 +323,84 @@ def _taps(
     return r, y, "angular_velocity" in si
 
 
-def _natural(x: Array, whisker: Whisker) -> tuple[Array, Array, Array, Array]:
-    """gain·3EI₀, apex distance, hinge (m) and Weber fraction at x (..., 3 or 4)."""
+def _first_taps(r: Array, whisker: Whisker) -> Index:
+    """Where the taps at each distance begin, of ascending distances."""
+    first = [0]
+    for i in range(len(r)):
+        if r[i] - r[first[-1]] > NEAR * whisker.length:
+            first.append(i)
+    return np.array(first[: len(r)], dtype=np.intp)
+
+
+def _natural(x: Array, whisker: Whisker) -> tuple[Array, Array, Array, Array, Array]:
+    """gain·3EI₀, apex distance, hinge (m), misfit and Weber fraction at x (..., 4 or 5)."""
     apex = whisker.length * (1 + np.exp(-x[..., 1]))
-    give = whisker.length * np.exp(x[..., 2]) if x.shape[-1] > 3 else 0.0 * apex
-    return np.exp(x[..., 0]), apex, give, np.exp(x[..., -1])
+    give = whisker.length * np.exp(x[..., 2]) if x.shape[-1] > 4 else 0.0 * apex
+    return np.exp(x[..., 0]), apex, give, np.exp(x[..., -2]), np.exp(x[..., -1])
 
 
-def _log_density(x: Array, r: Array, y: Array, whisker: Whisker) -> Array:
-    """ln of the posterior density at x (..., 3 or 4): ln scale, logit taper, (ln hinge), ln k."""
-    scale, apex, give, k = (v[..., None] for v in _natural(x, whisker))
+def _log_density(x: Array, r: Array, y: Array, first: Index, whisker: Whisker) -> Array:
+    """ln of the posterior density at x: ln scale, logit taper, (ln hinge), ln misfit, ln k.
+
+    Slopes at one distance, relative to the model's, have the covariance k²I + misfit².
+    """
+    scale, apex, give, misfit, k = (v[..., None] for v in _natural(x, whisker))
     mean = scale * _slope(r, apex, give)
-    log = (-0.5 * ((y / mean - 1) / k) ** 2 - np.log(k * mean)).sum(axis=-1)
-    # Mean and sd of: logit of length over apex distance, ln of hinge over length, ln k.
-    prior = np.array([[1.5, 2.0], [-3.0, 2.0], [-3.0, 1.5]])
-    prior = prior if x.shape[-1] > 3 else prior[[0, 2]]
+    off = y / mean - 1
+    count = np.diff(first, append=len(r))
+    middle = np.add.reduceat(off, first, axis=-1) / count
+    within = ((off - np.repeat(middle, count, axis=-1)) ** 2).sum(axis=-1) / k[..., 0] ** 2
+    shared = k**2 + count * misfit**2
+    log = -0.5 * (count * middle**2 / shared + np.log(shared)).sum(axis=-1)
+    log -= 0.5 * within + (len(r) - len(first)) * np.log(k[..., 0]) + np.log(mean).sum(axis=-1)
+    prior = BELIEFS if x.shape[-1] > 4 else np.delete(BELIEFS, 1, axis=0)
     return log - 0.5 * (((x[..., 1:] - prior[:, 0]) / prior[:, 1]) ** 2).sum(axis=-1)
 
 
 def _mode(r: Array, y: Array, whisker: Whisker, hinge: bool) -> tuple[Array, Array]:
     """The mode, and the inverse of minus the curvature there."""
+    first = _first_taps(r, whisker)
 
     def cost(x: Any) -> float:
-        return -float(_log_density(np.asarray(x), r, y, whisker))
+        return -float(_log_density(np.asarray(x), r, y, first, whisker))
 
     best: Any = None
     for give in (-4.0, -2.0) if hinge else (None,):
         start = [np.log(np.median(y / _slope(r, 1.1 * whisker.length, 0.0))), 1.5]
-        start += [give, -2.5] if give is not None else [-2.5]
+        start += [-4.5, -2.5] if give is None else [give, -4.5, -2.5]
         found = minimize(
             cost, np.array(start, dtype=float), method="Nelder-Mead",
-            options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 8000},
+            options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 8000, "maxfev": 8000},
         )  # fmt: skip
         best = found if best is None or found.fun < best.fun else best
-    x, n = np.asarray(best.x), len(best.x)
-    step = 1e-3 * np.eye(n)
-    both = x + step[:, None] + step[None]
-    mixed = _log_density(x + step[:, None] - step[None], r, y, whisker)
-    outer = _log_density(x - step[:, None] - step[None], r, y, whisker)
-    inner = _log_density(x - step[:, None] + step[None], r, y, whisker)
-    curvature = (_log_density(both, r, y, whisker) - mixed - inner + outer) / 4e-6
-    value, axes = np.linalg.eigh(-(curvature + curvature.T) / 2)
+    x = np.asarray(best.x)
+    value, axes = np.linalg.eigh(curvature_at(cost, x, 1e-3))
     return x, (axes / np.maximum(value, 0.1)) @ axes.T
 
 
 def _left_out(r: Array, y: Array, whisker: Whisker, hinge: bool) -> pd.DataFrame:
     """Each distance located by the calibration of all others."""
     rows = []
-    for place in np.unique(r):
-        own = r == place
+    first = _first_taps(r, whisker)
+    for begin, end in zip(first, [*first[1:], len(r)], strict=True):
+        own = (np.arange(len(r)) >= begin) & (np.arange(len(r)) < end)
         mode, _ = _mode(r[~own], y[~own], whisker, hinge)
-        scale, apex, give, _ = (float(v) for v in _natural(mode, whisker))
+        scale, apex, give = (float(v) for v in _natural(mode, whisker)[:3])
         # slope = scale/(1/(1/r − 1/A) + h), solved for r.
         inside = scale / y[own].mean() - give
         found = 1 / (1 / inside + 1 / apex) if inside > 0 else 0.0
-        error = (found - place) / whisker.length
+        place = r[own].mean()
         rows.append({"radial_distance_mm": 1e3 * place, "located_mm": 1e3 * found,
-                     "error_share": error})  # fmt: skip
+                     "error_share": (found - place) / whisker.length})  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def _lack_of_fit(r: Array, ratio: Array, parameters: int, places: Array) -> float:
+def _lack_of_fit(r: Array, ratio: Array, parameters: int, whisker: Whisker) -> float:
     """p of the scatter of the means about 1, beside the scatter within distances."""
-    groups = [ratio[r == place] for place in places]
+    groups = np.split(ratio, _first_taps(r, whisker)[1:])
     within = sum(((g - g.mean()) ** 2).sum() for g in groups)
     between = sum(len(g) * (g.mean() - 1) ** 2 for g in groups)
-    free, rest = len(places) - parameters, len(ratio) - len(places)
+    free, rest = len(groups) - parameters, len(ratio) - len(groups)
     if free < 1 or rest < 1 or not within > 0:
         return float("nan")
     return float(f_distribution.sf(between / free / (within / rest), free, rest))
@@ -388,6 +433,11 @@ def averaged(
         off = np.where(own > 0, off, np.outer([-1.96, 1.96], total))
         out.loc[known, ends] = np.clip(middle + off, 0.0, reach).T
         out.loc[known, found] = np.stack([middle, total], axis=1)
-    notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
-    out.attrs = out.attrs | {"notes": notes}
+    share = f"{100 * calibration.misfit:.2g} % of the slopes"
+    said = f"Means over {len(every)} draws of the calibration, whose misfit is {share}."
+    out.attrs = out.attrs | {"notes": (*out.attrs["notes"], said)}
+    if not calibration.fits:
+        tested = "does not fit" if calibration.p_value < 0.01 else "was not tested"
+        located = out["radial_distance_mm"].notna()
+        out.loc[located, "message"] += f"; the calibration {tested}: widened by {share}"
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, Flags, Index
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS, MeasuredAngle
 from ..cues.unknowns import Friction
@@ -35,6 +35,7 @@ _UNITS = {
     "angle": {"rad": 1.0, "deg": np.pi / 180},
     "moment_rate": {"nm/s": 1.0, "nmm/s": 1e-3},
     "angular_velocity": {"rad/s": 1.0, "deg/s": np.pi / 180},
+    "length": {"m": 1.0},
 }
 #: What a table may hold, and of which kind each is.
 QUANTITIES = {
@@ -44,9 +45,12 @@ QUANTITIES = {
     "deflection_angle": "angle",
     "moment_rate": "moment_rate",
     "angular_velocity": "angular_velocity",
+    "radial_distance": "length",
     **{f"force_{axis}": "force" for axis in "xyz"},
     **{f"moment_{axis}": "moment" for axis in "xyz"},
 }
+#: Signals whose signs go together; the first that a table has says the side of the push.
+SIGNED = ("moment", "deflection_angle", "transverse_force", "axial_force")
 IN_PLANE = "Six signals were turned into the plane of each push."
 #: Sds of measurement errors, such as `moment_sd`, have the unit of their quantity.
 NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items()}}
@@ -92,13 +96,15 @@ def find_columns(
             checks.one_of(f"{name} key", key, NAMES)
     found: dict[str, tuple[str, float, bool]] = {}
     for quantity, column in (columns or {}).items():
+        if column not in header and isinstance(column, str):
+            column = column.removeprefix("-")
         if column not in header:
             raise ValueError(
                 f"The table has no column {column!r}, mapped from {quantity!r}; it has "
                 f"{checks.listed(header, 8)}."
             )
         found[quantity] = _of(quantity, column, column, units)
-    taken = set((columns or {}).values())
+    taken = {column for column, _, _ in found.values()}
     for column in header:
         if column in taken:
             continue
@@ -267,7 +273,11 @@ def read_contacts(
         twice = raw.columns[raw.columns.duplicated()][0]
         raise ValueError(f"There are two columns {twice!r}; give each its own name.")
     found = find_columns(list(raw.columns), columns, units)
-    return raw, {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}, found
+    si = {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}
+    for quantity, column in (columns or {}).items():
+        if column not in raw and column.startswith("-"):  # of the opposite sign
+            si[quantity] = -si[quantity]
+    return raw, si, found
 
 
 def _table(table: Any) -> pd.DataFrame:
@@ -290,23 +300,23 @@ def _table(table: Any) -> pd.DataFrame:
 # -- which readings they are ----------------------------------------------------------------------
 
 
-def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[str]) -> None:
-    """Give axial force, transverse force and angle the signs of this package, in place.
+def sign_note(
+    si: dict[str, Array], shapes: Sequence[Sequence[tuple[Index, Any]]], notes: list[str]
+) -> None:
+    """Say in which convention of signs rows are clearly likelier to be contacts of the whisker.
 
-    Of all conventions that a table may have, the one in which its rows are likest to contacts of
-    the whisker: where the whisker is curved, axial forces and angles may be of either sign.
+    For each of the shapes at rest that it may have: its rows of either side, and the whisker as it
+    looks from there. Where it is curved, axial forces and angles may be of either sign.
     """
-    order = ("moment", "deflection_angle", "transverse_force", "axial_force")
-    names = [n for n in order if n in si]
+    names = [n for n in SIGNED if n in si]
     free = names[1:]  # the first says the side
-    if not free:
-        return
     signs = np.array(list(product([1.0, -1.0], repeat=len(free))))
-    cost = np.zeros(len(signs))
-    for rows, whisker in sides:
+    cost = np.full((len(signs), len(si[names[0]])), np.inf)
+    cost[:, ~_countable(si, names)] = 0.0
+    for rows, whisker in (side for shape in shapes for side in shape):
+        rows = rows[_countable(si, names)[rows]]
+        rows = rows[:: 1 + len(rows) // 60]
         y = np.stack([si[n][rows] for n in names], axis=-1)
-        y = y[np.isfinite(y).all(axis=1) & (y != 0).all(axis=1)]
-        y = y[:: 1 + len(y) // 60]
         observer = Observer(whisker, ForceMap())
         contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
         signals, outcome = MeasuredAngle(ForceMap(SIGNALS)).signals(observer.whisker, contact)
@@ -319,13 +329,25 @@ def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[s
         size = 0.02 * (y[:, None] ** 2 + model**2) + 1e-300
         for i, sign in enumerate(signs):
             off = (y[:, None] * np.append(1.0, sign) - model) ** 2 / size
-            cost[i] += np.minimum(off.sum(axis=2).min(axis=1), 30.0).sum()
+            off = np.minimum(off.sum(axis=2).min(axis=1), 30.0)
+            cost[i, rows] = np.minimum(cost[i, rows], off)
+    cost = np.where(np.isfinite(cost), cost, 0.0).sum(axis=1)
     best = int(cost.argmin())
-    # As the package has it, unless another is clearly likelier.
-    for name, sign in zip(free, signs[best] if cost[best] < cost[0] - 6 else [], strict=False):
-        if sign < 0:
-            si[name] = -si[name]
-            notes.append(f"The {name.replace('_', ' ')} has the opposite sign: turned round.")
+    if cost[best] < cost[0] - 6:
+        turned = [name for name, sign in zip(free, signs[best], strict=True) if sign < 0]
+        said = " and ".join(name.replace("_", " ") for name in turned)
+        write = ", ".join(f'"{name}": "-{name}"' for name in turned)
+        notes.append(
+            f"The rows fit this whisker better with the {said} of the opposite sign, and are taken "
+            "as they are: the axial force above zero in compression, angle and transverse force of "
+            f"the moment's sign; if the table has it otherwise, write columns={{{write}}}, a minus "
+            "before the column's name."
+        )
+
+
+def _countable(si: dict[str, Array], names: list[str]) -> Flags:
+    y = np.stack([si[n] for n in names], axis=-1)
+    return np.asarray(np.isfinite(y).all(axis=1) & (y != 0).all(axis=1))
 
 
 def signals_of(

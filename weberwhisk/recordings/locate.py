@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,31 +14,35 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
-from .._util.values import Array, Flags, Index
-from ..cues import Cue
+from .._util.values import Array, Index
+from ..cues import Cue, ForceMap
 from ..cues.force_map import is_curved
 from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
-from ..inference.one_distance import ReadingGroup, one_distance
-from ..inference.quadrature import TOLERANCE, sums_of
+from ..inference.quadrature import TOLERANCE
 from ..inference.result import distance_prior
 from ..mechanics import Profile
-from ..receptors import GeneralisedWeber, ReceptorNoise
+from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .calibration import Calibration, averaged
 from .columns import (
     COMMON,
     FROM_SHAPE,
     IN_PLANE,
+    SIGNED,
     check_magnitudes,
     from_shape,
     one_side,
     planar,
     read_contacts,
+    sign_note,
     signals_of,
-    turn_round,
     values_of,
 )
+from .mixture import Cases, cases_of, rows_of, touches_of, usual_bow
+from .noise import SPREAD, USUAL, Learnt, learn, scaled
+
+__all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_of"]
 
 #: What `locate` adds to a table.
 RESULTS = (
@@ -50,28 +54,11 @@ TOUCH_RESULTS = (
 )  # fmt: skip
 #: The sd from measurement errors alone, where receptors have noise as well.
 MEASURED = "measurement_sd_mm"
+#: By how many sds redundant signals are off each other.
+OFF_BY = "misfit_sd"
+_ORDER = (*RESULTS[:6], MEASURED, OFF_BY, *RESULTS[6:], *TOUCH_RESULTS)
 #: Share of a signal that is the noise of receptors that are taken to have none.
 NO_NOISE = 1e-6
-#: Rows that are located together, for progress and memory.
-TOGETHER = 1024
-#: How far up to the fold the angles of a touch may go, as shares: with angles flat up to the fold,
-#: touches of small angles had errors of 1.4 sd.
-SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
-
-
-class _Side(NamedTuple):
-    """Rows pushed to one side, and what locates them: without receptors' noise if so wanted."""
-
-    rows: Index
-    observer: Observer
-    with_receptors: bool
-
-
-class _Located(NamedTuple):
-    """Numbers of n rows: (n, 6) in the order of `RESULTS`, and status."""
-
-    numbers: Array
-    status: NDArray[np.int64]
 
 
 def locate(
@@ -98,7 +85,9 @@ def locate(
         stands in `moment_sd_uNm` and the like, without a unit in its signal's, one for every signal
         used. Files as in `read_trials`.
     whisker : Whisker, Profile or Calibration
-        A calibration by taps brings cue and noise along, and its uncertainty into the distances:
+        Where its shape at rest was not given, curvature has a normal prior of mean 0, whose sd is
+        that of its follicle or the usual one; ``curvature=0`` says that it is straight. A
+        calibration by taps brings cue and noise along, and its uncertainty into the distances:
         means over draws of its posterior, the sds of which are added to those of the rows and
         touches, and the intervals widened as much. A table of `tracked_signals` brings its own
         curvature at rest, and its moment and forces are of the same stiffness, which is then taken
@@ -106,19 +95,22 @@ def locate(
     cue : Cue, optional
         By default the one that the columns allow. Its stiffness is then as it says.
     columns : mapping, optional
-        Our names to the table's, such as ``{"moment": "M"}``.
+        Our names to the table's, such as ``{"moment": "M"}``; with a minus, ``{"axial_force":
+        "-Fx"}``, the column is of the opposite sign.
     units : mapping, optional
         Units of our names, such as ``{"moment": "µN m"}``.
     touch : str or sequence, optional
         A column, or a value a row, that numbers the touches throughout the table; rows where it
-        is empty, 0 or False are in none. Rows of a touch share distance, stiffness and how far up
-        to the fold angles go, which is unknown where a row's may be any: a touch of two or three
-        rows may be less certain than they are.
+        is empty or False are in none, nor are rows of 0 that stand between touches. Rows of a touch
+        share distance, stiffness and how far up to the fold angles go, which is unknown where a
+        row's may be any: a touch of two or three rows may be less certain than they are.
     noise : ReceptorNoise or Weber fraction, optional
-        A Weber fraction is that of `inference.default_noise`, one or one for each signal. By
-        default the measurement errors alone where the table has them, else the cue's own noise:
-        Weber's law with k = 0.1, and one degree of a measured angle. With both, they add, and
-        `measurement_sd_mm` is the sd without receptors.
+        A Weber fraction is that of `inference.default_noise`, one or one for each signal, and
+        independent from row to row. By default the measurement errors alone where the table has
+        them. Else it is learnt, a Weber fraction for each signal (belief: median 0.2, sd of ln
+        0.7), from signals that are more than the unknowns and from rows of one touch, whose noise
+        may be common to them; without either the belief stands. With errors and noise, they add,
+        and `measurement_sd_mm` is the sd without receptors.
     prior : mapping, optional
         As of `Observer`.
     known_stiffness : bool, optional
@@ -133,8 +125,9 @@ def locate(
         The table, in its own index and columns, and `radial_distance_mm`, `sd_mm`, the 95 %
         interval `lower_mm` to `upper_mm`, `angle_deg` and `angle_sd_deg` of the push (on a curved
         whisker from the first touch), `status` and `message`; with `touch` also
-        `touch_radial_distance_mm` and so on, the same in all rows of a touch. Rows that tell of no
-        contact stay, empty, and their status says why.
+        `touch_radial_distance_mm` and so on, the same in all rows of a touch. Where there are more
+        signals than unknowns, `misfit_sd` is by how many sds the worst is off at the most probable
+        contact. Rows that tell of no contact stay, empty, and their status says why.
         ``attrs["notes"]`` says what was taken for granted: cue, units, signs, noise, priors.
 
     Raises
@@ -146,17 +139,17 @@ def locate(
     Notes
     -----
     Signs: moment, transverse force and angle (from the base tangent) change sign with the side of
-    the push; the axial force is positive in compression. Rows of either side, and tables whose
-    rows are likelier to be the whisker's in the opposite convention, are turned, and `notes` says
-    so. Seen from the other side, a curved whisker is a mirrored one.
+    the push; the axial force is positive in compression. Rows of either side are mirrored, as is a
+    curved whisker seen from the other side. Where rows are likelier to be the whisker's in the
+    opposite convention, `notes` says so and what to write.
 
     Examples
     --------
     >>> import weberwhisk as ww
-    >>> w = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=3e9)
+    >>> w = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=3e9, curvature=0)
     >>> b = ww.press(w, [20e-3, 30e-3], 0.3)
     >>> table = pd.DataFrame({"moment_uNm": b.moment * 1e6, "axial_force_uN": b.axial_force * 1e6})
-    >>> ww.locate(table, w)[["radial_distance_mm", "status"]].round(1)
+    >>> ww.locate(table, w, noise=0.1)[["radial_distance_mm", "status"]].round(1)
        radial_distance_mm     status
     0                19.6  converged
     1                29.3  converged
@@ -167,6 +160,8 @@ def locate(
                 "A calibration has its own cue and noise; leave both out, or write "
                 "locate(table, c.whisker, cue=c.cue, noise=c.noise)."
             )
+        columns, units = ({n: v for n, v in (given or {}).items() if n != "radial_distance"}
+                          for given in (columns, units))  # fmt: skip
         raw, si, _ = read_contacts(table, columns, units)
         if ("angular_velocity" in si) != whisker.by_velocity:
             having, lacking = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
@@ -184,82 +179,79 @@ def locate(
         return averaged(whisker, located_by, progress)
     checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
-    header = [str(c) for c in raw.columns]
-    for name in (*RESULTS, MEASURED, *(TOUCH_RESULTS if touch is not None else ())):
-        if name in header:
+    for name in (*RESULTS, MEASURED, OFF_BY, *(TOUCH_RESULTS if touch is not None else ())):
+        if name in raw:
             raise ValueError(f"The table has a column {name!r} already; rename or drop it.")
     notes: list[str] = []
-    unsaid = [q for q, (_, _, said) in found.items() if not said]
     several = [c for c in ("whisker", "identity") if c in raw and raw[c].nunique() > 1]
     if several:
         notes.append(f"The column {several[0]!r} names several whiskers: all rows are of one here.")
-    if unsaid:
+    if unsaid := [q for q, (_, _, said) in found.items() if not said]:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
     named = None if touch is None else _touches_of(raw, touch, notes)
     common, misfit = np.zeros(len(raw)), np.zeros(len(raw))
+    bow = usual_bow(whisker) if cue is None or cue.takes_curved else None
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
-        common, misfit = values_of(raw, COMMON), values_of(raw, "misfit")
+        common, misfit, bow = values_of(raw, COMMON), values_of(raw, "misfit"), None
     else:
         si = planar(si, notes)
-        if notes[-1:] == [IN_PLANE] and is_curved(whisker):
-            raise ValueError(
-                "Six signals of a curved whisker do not say how its curvature lies; give moment, "
-                "axial_force and transverse_force in its plane, or a straight whisker; of contacts "
-                "one by one, write posterior(Observer(whisker, cues.SpaceMap()), readings)."
-            )
+        if notes[-1:] == [IN_PLANE]:
+            if is_curved(whisker):
+                raise ValueError(
+                    "Six signals of a curved whisker do not say how its curvature lies; give "
+                    "moment, axial_force and transverse_force in its plane, or a straight whisker; "
+                    "of contacts one by one, write "
+                    "posterior(Observer(whisker, cues.SpaceMap()), readings)."
+                )
+            bow = None
         side = one_side(si, named, notes)
-        turn_round(si, _by_side(side, whisker), notes)
-    cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, header)
-    receptors = covariance is None or noise is not None
-    out, done = raw.copy(), 0
-    both = (MEASURED,) if covariance is not None and receptors else ()
-    found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
-    status = np.zeros(len(raw), dtype=int)
-    sides: list[_Side] = []
-    for rows, own in _by_side(side, whisker):
-        observer = Observer(own, cue, _receptors(noise, own, cue), prior or {})
-        if observer.noise.is_categorical or not observer.noise.reads_signals:
-            raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
-        check_magnitudes(observer, y[rows], found)
-        exact = observer if covariance is None else _without_receptors(observer)
-        sides.append(_Side(rows, observer if receptors else exact, receptors))
-        errors = None if covariance is None else covariance[rows]
-
-        def tell(now: int, _: int, before: int = done) -> None:
-            if progress:
-                progress(before + now, len(raw))
-
-        located = _rows(sides[-1], y[rows], errors, tell)
-        done += len(rows)
-        for name, column in zip(RESULTS, located.numbers.T, strict=False):
-            found_rows[name][rows] = column
-        status[rows] = located.status
-        if both:
-            alone = _rows(_Side(rows, exact, False), y[rows], errors, None)
-            found_rows[MEASURED][rows] = alone.numbers[:, 1]
-    # A bent whisker more than three times as far off its points as their noise tells of no contact.
-    status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
-    words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
+        if len({*SIGNED} & {*si}) > 1:
+            bent = cases_of(whisker, ForceMap(), bow, side, [default_noise], None)
+            sign_note(si, [[(rows, o.whisker) for rows, o in c[0]] for c in bent.cases], notes)
+    cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, [*raw.columns])
+    bow = bow if cue.takes_curved else None
+    own: Any = whisker
+    plain = Observer(own, cue, _receptors(noise, whisker, cue), prior or {})
+    if plain.noise.is_categorical or not plain.noise.reads_signals:
+        raise ValueError(f"A table holds signals, which {plain.noise!r} does not report.")
+    check_magnitudes(plain, y, found)
+    touches: Index = np.full(len(raw), -1)
     if named is not None:
-        each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)
-        numbers, words["touch_status"] = _of_touches(
-            each, sides, status, y, covariance, named, common
+        touches = pd.factorize(pd.Series(named, dtype=object))[0].astype(np.intp)
+    learns = noise is None and covariance is None and type(plain.noise) in (Weber, GeneralisedWeber)
+
+    def of(*laws: Any) -> Cases:
+        return cases_of(whisker, cue, bow, side, laws, prior)
+
+    given = of(lambda own, inner: _receptors(noise, own, inner))
+    learnt = Learnt(np.ones((1, 1)))
+    receptors = covariance is None or noise is not None
+    cases = given if receptors else of(without_receptors)
+    if learns:
+        learnt = learn([c[0] for c in given.cases], given.log_prior, y, touches)
+        cases = of(*(partial(scaled, factor=factor) for factor in learnt.factors))
+    status, numbers = _rows(cases, y, covariance, receptors, progress)
+    status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
+    columns_of = dict(zip(RESULTS, numbers.T, strict=False))
+    if covariance is not None and receptors:
+        columns_of[MEASURED] = _rows(of(without_receptors), y, covariance, False, None)[1][:, 1]
+    if y.shape[1] > len(plain.unknowns):
+        columns_of[OFF_BY] = numbers[:, 6]
+    columns_of["status"] = np.array([Status(s).name.lower() for s in status], dtype=object)
+    columns_of["message"] = np.array([Status(s).message for s in status], dtype=object)
+    if named is not None:
+        each, words = _of_touches(
+            cases, numbers[:, :4], status, y, covariance, touches, common, learnt
         )
-        found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
-    measured = "its measurement errors" if covariance is not None else ""
-    law = f"{observer.noise!r}" if receptors else ""
-    said = " and ".join(filter(None, [measured, law]))
-    notes.append(
-        f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
-        f"{_priors(observer)}"
-    )
-    as_given: Any = whisker
-    if note := Observer(as_given, cue, _receptors(noise, as_given, cue), prior or {}).note:
-        notes.append(f"{note}.")  # of the whisker as given, which rows may see mirrored
-    words["message"] = np.array([Status(s).message for s in status], dtype=object)
-    for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
-        out[name] = found_rows[name] if name in found_rows else words[name]
+        columns_of |= dict(zip(TOUCH_RESULTS, each.T, strict=False)) | {"touch_status": words}
+    notes += [_whisker_in_words(whisker, bow), f"Cue: {cue!r}."]
+    of_noise = learnt if learns else None
+    notes.append(_noise_in_words(plain, covariance is not None, receptors, of_noise))
+    notes.append(_priors(plain))
+    if bow is None and (note := plain.note):
+        notes.append(f"{note}.")
+    out = raw.assign(**{name: columns_of[name] for name in _ORDER if name in columns_of})
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
 
@@ -271,13 +263,12 @@ def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
     return default_noise(whisker, cue, noise)
 
 
-def _without_receptors(observer: Observer) -> Observer:
-    """The observer with next to no noise of receptors, beside measurement errors."""
-    size = len(observer.cue.signal_names)
-    usual = default_noise(observer.whisker, observer.cue, NO_NOISE)
+def without_receptors(whisker: Any, cue: Cue) -> ReceptorNoise:
+    """Next to no noise of receptors, beside measurement errors."""
+    size = len(cue.signal_names)
     # A default floor is a hundredth of the usual signal, or one degree.
-    floor = 100 * NO_NOISE * usual.floors(size)
-    return replace(observer, noise=GeneralisedWeber(NO_NOISE, floor=floor))
+    floor = 100 * NO_NOISE * default_noise(whisker, cue, NO_NOISE).floors(size)
+    return GeneralisedWeber(NO_NOISE, floor=floor)
 
 
 def _touches_of(
@@ -298,10 +289,14 @@ def _touches_of(
                 f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "
                 "those in no touch None."
             )
+    words = [str(value).strip().lower() for value in values]
+    zero = np.array([word in ("0", "0.0") for word in words])
+    # Rows of 0 in several places are free frames between touches that are numbered from 1.
+    between = zero.any() and not zero.all() and (np.diff(zero, prepend=False) & zero).sum() > 1
     out = np.empty(len(values), dtype=object)
-    for i, value in enumerate(values):
-        empty = value is None or value is False or pd.isna(value) or value == 0
-        out[i] = None if empty or str(value).strip().lower() in ("", "0", "false") else value
+    for i, (value, word) in enumerate(zip(values, words, strict=True)):
+        empty = value is None or pd.isna(value) or word in ("", "false") or (zero[i] and between)
+        out[i] = None if empty else value
     if any(str(value).strip().lower() == "true" for value in out):
         raise ValueError(
             "touch is True where there is a touch, and does not say which: all would be one. "
@@ -319,11 +314,40 @@ def _touches_of(
     return out
 
 
-def _whisker_in_words(whisker: Any) -> str:
+def _whisker_in_words(whisker: Any, bow: float | None) -> str:
     plain = getattr(whisker, "whisker", whisker)
-    return (
+    out = (
         f"Whisker: {1e3 * plain.length:.3g} mm long, radius {1e6 * plain.base_radius:.3g} to "
-        f"{1e6 * plain.tip_radius:.3g} µm, {'curved' if is_curved(whisker) else 'straight'}."
+        f"{1e6 * plain.tip_radius:.3g} µm"
+    )
+    if bow is None:
+        return f"{out}, {'curved' if is_curved(whisker) else 'straight'}."
+    own = "from_identity(..., curved=True)" if plain.identity else f"curvature={bow:.2g}"
+    return (
+        f"{out}, of unknown shape at rest: its curvature has a normal prior of mean 0 and sd "
+        f"{bow:.2g} /m, as is usual of its kind, to either side: write curvature=0 of a straight "
+        f"whisker, {own} of a curved one."
+    )
+
+
+def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Learnt | None) -> str:
+    """The noise of the table's numbers, and how to give it where nobody did."""
+    names, size = plain.cue.signal_names, len(plain.cue.signal_names)
+    if learnt is None:
+        law = f"{plain.noise!r}" if receptors else ""
+        both = " and ".join(filter(None, ["its measurement errors" if measured else "", law]))
+        return f"Noise of the table's numbers: {both}."
+    scale = np.exp(np.log(learnt.factors).mean(axis=0))
+    k = plain.noise.weber_fractions(size) * scale
+    said = ", ".join(f"{v:.2g} of {n}" for v, n in zip(k, names, strict=True) if v > 0)
+    belief = f"{USUAL:g} with an sd of ln of {SPREAD:g}"
+    how = (
+        f"was learnt from {learnt.said} (belief about k: {belief})" if learnt.said else
+        f"follows from nothing in this table: it is as believed of such tables (k {belief})"
+    )  # fmt: skip
+    return (
+        f"The noise of the table's numbers was not given and {how}: k = {said}; "
+        "where it is known, write noise=0.1."
     )
 
 
@@ -348,66 +372,43 @@ def methods_of(located: pd.DataFrame) -> list[str]:
         touches = located[TOUCH_RESULTS[0]].nunique()
         said.append(f"Rows of a touch share its distance; {touches} touches were located.")
     # A note may end in what to write for another model.
-    advice = re.compile(r"(; if it was measured,|:) write [^;]*$")
+    advice = re.compile(r"(; [^;:]*,|:) write [^;]*$")
     notes = (advice.sub(".", note) for note in located.attrs["notes"])
     return [*said, *notes, "Posteriors are by quadrature."]
 
 
-def _by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
-    """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
-    if not is_curved(whisker):
-        return [(np.arange(len(side)), whisker)]
-    profile = Profile.of(whisker)
-    mirrored = profile.curved(profile.law.scaled(np.ones(()), -1.0))
-    seen = ((np.flatnonzero(side > 0), whisker), (np.flatnonzero(side < 0), mirrored))
-    return [(rows, own) for rows, own in seen if rows.size]
-
-
 def _rows(
-    side: _Side, y: Array, covariance: Array | None, progress: Callable[[int, int], None] | None
-) -> _Located:
-    """Rows (n, S) one by one, with the covariances (n, S, S) of their measurement errors."""
-    n, observer = len(y), side.observer
-    numbers = np.full((n, 6), np.nan)
-    status = np.full(n, int(Status.NOT_A_READING))
+    cases: Cases, y: Array, covariance: Array | None, receptors: bool,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Index, Array]:  # fmt: skip
+    """Status of rows (n, S) one by one, and numbers (n, 7): of `RESULTS`, and `OFF_BY`."""
+    n, numbers = len(y), np.full((len(y), 7), np.nan)
+    status: Index = np.full(n, int(Status.NOT_A_READING))
     finite = np.isfinite(y).all(axis=1)
     if covariance is not None:
         finite &= np.isfinite(covariance).all(axis=(1, 2))
     zero = (y == 0).any(axis=1)
     status[finite & zero] = Status.NO_CONTACT
-    every = np.flatnonzero(finite & ~zero)
-    outside = bool(domain.of_observer(observer)) and side.with_receptors
-    prior_sd = _prior_sd(observer)
-    done = n - len(every)
-    for rows in (every[i : i + TOGETHER] for i in range(0, len(every), TOGETHER)):
-        errors = None if covariance is None else covariance[rows]
-        found = sums_of(observer, y[rows], errors)
-        numbers[rows, 0], numbers[rows, 1] = found.mean[:, 0], found.sd[:, 0]
-        numbers[rows, 2:4] = found.quantiles(np.array([0.025, 0.975]), 0)
-        if observer.bounded > 1:
-            numbers[rows, 4], numbers[rows, 5] = found.mean[:, 1], found.sd[:, 1]
-        own = np.full(len(rows), int(Status.CONVERGED))
-        near = found.mean[:, 0] < domain.CONTACTS[0] * observer.reach[1]
-        own[near | outside] = Status.OUTSIDE_DOMAIN
-        own[found.sd[:, 0] > 0.9 * prior_sd] = Status.UNIDENTIFIED
-        own[found.error > TOLERANCE] = Status.IMPRECISE
-        own[_is_improbable(observer, y[rows], errors, found.best)] = Status.IMPROBABLE_READING
-        status[rows] = own
-        done += len(rows)
-        if progress:
-            progress(done, n)
-    numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi]
-    return _Located(numbers, status)
-
-
-def _is_improbable(observer: Observer, y: Array, covariance: Array | None, contact: Array) -> Flags:
-    """Rows with a signal more than 5 sd from that of their most probable contact."""
-    signals = observer.signals(contact)[0]
-    variance = observer.noise.sd(signals) ** 2
-    if covariance is not None:
-        variance = variance + np.diagonal(covariance, axis1=1, axis2=2)
-    off = np.abs(y - observer.noise.mean(signals)) / np.sqrt(variance)
-    return np.asarray(~(off.max(axis=1) <= 5))
+    rows = np.flatnonzero(finite & ~zero)
+    begun = n - len(rows)
+    ends, values = rows_of(
+        cases, rows, y, covariance, lambda done: progress and progress(begun + done, n)
+    )
+    middle = cases.cases[len(cases.cases) // 2]
+    observer = middle[0][0][1]
+    numbers[rows] = np.column_stack([values[:, :2], ends, values[:, [2, 3, 5]]])
+    numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi, 1]
+    if observer.bounded < 2:
+        numbers[:, 4:6] = np.nan
+    mean, sd, error, off = values[:, [0, 1, 4, 5]].T
+    own = np.full(len(rows), int(Status.CONVERGED))
+    outside = receptors and all(domain.of_observer(case[0][1]) for case in middle)
+    own[(mean < domain.CONTACTS[0] * observer.reach[1]) | outside] = Status.OUTSIDE_DOMAIN
+    own[sd > 0.9 * _prior_sd(observer)] = Status.UNIDENTIFIED
+    own[~(error <= TOLERANCE)] = Status.IMPRECISE
+    own[~(off <= 5)] = Status.IMPROBABLE_READING
+    status[rows] = own
+    return status, numbers
 
 
 def _prior_sd(observer: Observer) -> float:
@@ -418,24 +419,23 @@ def _prior_sd(observer: Observer) -> float:
 
 
 def _of_touches(
-    alone: Array, sides: Sequence[_Side], status: Array, y: Array, covariance: Array | None,
-    named: NDArray[np.object_], common: Array,
+    cases: Cases, alone: Array, status: Index, y: Array, covariance: Array | None, touches: Index,
+    common: Array, learnt: Learnt,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
 
     A touch of one row is that row, whose numbers are `alone`. Of several rows, an error that all
     have in common, mm (n,), is not averaged away.
     """
-    numbers = np.full((len(named), 4), np.nan)
-    words = np.full(len(named), "no_touch", dtype=object)
-    touch = pd.Series(named, dtype=object)
+    numbers = np.full((len(y), 4), np.nan)
+    words = np.full(len(y), "no_touch", dtype=object)
     good = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN))
     several: list[tuple[Index, Index]] = []  # rows of a touch, and those that are used
-    reach = np.full(len(named), np.nan)
-    for side in sides:
-        reach[side.rows] = side.observer.reach[1]
-    for each in touch.groupby(touch, sort=False).indices.values():
-        rows = np.asarray(each)
+    reach = np.full(len(y), np.nan)
+    for rows, observer in cases.cases[len(cases.cases) // 2][0]:
+        reach[rows] = observer.reach[1]
+    for name in range(touches.max(initial=-1) + 1):
+        rows = np.flatnonzero(touches == name)
         used = rows[good[rows]]
         words[rows] = "converged" if used.size else "not_a_reading"
         if used.size == 1:
@@ -449,23 +449,16 @@ def _of_touches(
             several.append((rows, used))
     for begin in range(0, len(several), 64):
         some = several[begin : begin + 64]
-        owner = np.full(len(named), -1)
+        owner = np.full(len(y), -1)
         for i, (_, used) in enumerate(some):
             owner[used] = i
-        groups = []
-        for side in sides:
-            at = side.rows[owner[side.rows] >= 0]
-            errors = None if covariance is None else covariance[at]
-            if at.size:
-                groups.append(ReadingGroup(side.observer, y[at], errors, owner[at]))
-        each_found = one_distance(groups, len(some), SPANS)
-        for (rows, used), found in zip(some, each_found, strict=True):
-            words[rows] = "converged" if np.isfinite(found.mean) else "rows_disagree"
-            if np.isfinite(found.mean):
-                ends = found.quantiles(np.array([0.025, 0.975]))
-                own = 1e3 * np.array([found.mean, found.sd, *ends])
+        power = learnt.exponent(np.array([used.size for _, used in some]))
+        ends, values = touches_of(cases, y, covariance, owner, len(some), power)
+        for (rows, used), end, value in zip(some, 1e3 * ends, 1e3 * values, strict=True):
+            words[rows] = "converged" if np.isfinite(value[0]) else "rows_disagree"
+            if np.isfinite(value[0]):
                 more = (common[used] ** 2).mean() * (1 - 1 / used.size)
-                wider = np.sqrt(1 + more / own[1] ** 2)
-                own[1:] = [own[1] * wider, *np.maximum(own[0] + (own[2:] - own[0]) * wider, 0.0)]
-                numbers[rows] = own
+                wider = np.sqrt(1 + more / value[1] ** 2)
+                end = np.maximum(value[0] + (end - value[0]) * wider, 0.0)
+                numbers[rows] = [value[0], value[1] * wider, *end]
     return numbers, words
