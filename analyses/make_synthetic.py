@@ -9,6 +9,7 @@ every table to what is expected of its fit.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,22 @@ from tracked_session import simulate_tracking
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
-from weberwhisk.behaviour.trials import data_package, describe_table
+from weberwhisk.behaviour.trials import STIMULI
 
+#: What columns of tables hold.
+DESCRIPTIONS = {
+    "subject": "who answered",
+    "session": "session, from 1",
+    "trial": "trial within the session, from 1",
+    "standard": "stimulus that the others are compared with",
+    "stimulus_1": "first stimulus",
+    "stimulus_2": "second stimulus",
+    "n": "trials in this row",
+    "choice": "1: the second was reported greater, 0: the first; empty: no answer",
+    "correct": "1: right, 0: wrong; empty: no answer",
+    "n_greater": "of these trials, how many reported the second greater",
+    "n_correct": "of these trials, how many were right",
+}
 #: Radial distances are in millimetres.
 WHISKERS = {
     "tapered": Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6),
@@ -170,6 +185,50 @@ DATASETS: dict[str, dict[str, Any]] = {
         },
     },
 }
+
+
+_TYPES = {"f": "number", "i": "integer", "u": "integer", "b": "boolean"}
+
+
+def describe_table(
+    name: str, table: pd.DataFrame, *, unit: str = "", **remarks: Any
+) -> dict[str, Any]:
+    """A table's entry in a data package: path, schema, and remarks such as `title` and `truth`.
+
+    `name` is that of the file without `.csv`, `unit` that of the stimuli; a column, as
+    `Trials.table` gives it, may carry a unit in its name, as `stimulus_1_mm` does.
+    """
+    fields = []
+    for column in map(str, table.columns):
+        kind = _TYPES.get(table[column].dtype.kind, "string")
+        base = next(
+            (known for known in (column, column.rpartition("_")[0]) if known in DESCRIPTIONS), ""
+        )
+        field = {"name": column, "type": kind, "description": DESCRIPTIONS.get(base, column)}
+        if unit and base in STIMULI:
+            field["unit"] = unit
+        fields.append(field)
+    title = {"title": remarks.pop("title")} if "title" in remarks else {}
+    return {
+        "name": name.replace("_", "-"),
+        "path": f"{name}.csv",
+        **title,
+        "format": "csv",
+        "mediatype": "text/csv",
+        "encoding": "utf-8",
+        "schema": {"fields": fields, "missingValues": [""]},
+        **remarks,
+    }
+
+
+def data_package(name: str, title: str, resources: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The contents of a `datapackage.json` for tables described by `describe_table`."""
+    return {
+        "name": name,
+        "title": title,
+        "licenses": [{"name": "BSD-3-Clause"}],
+        "resources": [dict(entry) for entry in resources],
+    }
 
 
 def encoding_of(name: str) -> CueEncoding | None:

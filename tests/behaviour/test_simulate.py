@@ -17,7 +17,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.simulate import simulate_responses
-from weberwhisk.behaviour.trials import data_package, describe_table
 
 
 def digest(path: Path) -> str:
@@ -156,17 +155,6 @@ def test_a_population_has_the_spread_asked_for() -> None:
 def test_impossible_populations_are_refused(options: dict, part: str) -> None:
     with pytest.raises(ValueError, match=part):
         simulate_population(**{"subjects": 2, "seed": 1, **options})
-
-
-def test_a_data_package_names_every_column() -> None:
-    table = simulate_trials(subject="r1", task="3AFC percent correct", seed=1).table()
-    table = table.rename(columns={"stimulus_1": "stimulus_1_mm"})
-    package = data_package("p", "A package", [describe_table("t", table, unit="mm", title="T")])
-    fields = {f["name"]: f for f in package["resources"][0]["schema"]["fields"]}
-    assert list(fields) == list(table.columns)
-    assert fields["stimulus_1_mm"]["unit"] == "mm"
-    assert fields["correct"]["type"] == "integer"
-    assert fields["subject"]["type"] == "string"
 
 
 # -- effects -------------------------------------------------------------------------------------

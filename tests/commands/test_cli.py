@@ -487,7 +487,7 @@ def test_simulate_and_fit_find_the_truth_again(
     assert abs(found["weber_fraction"] - 0.15) < 4 * sd  # type: ignore[operator]
     made = {path.name for path in out.iterdir()}
     assert made == {
-        "trials.csv", "trials.png", "trials.svg", "truth.json", "datapackage.json",
+        "trials.csv", "trials.png", "trials.svg", "truth.json",
         "simulate.run.json", "fit.csv",
         "fit.json", "fit_report.txt", "psychometric.png", "psychometric.svg", "fit.run.json",
     }  # fmt: skip

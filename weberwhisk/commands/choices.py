@@ -141,7 +141,7 @@ def simulate(
     inputs = opt.as_asked(locals())
     from ..behaviour.effects import effect_valued
     from ..behaviour.simulate import SIGNED_OFFSETS
-    from ..behaviour.trials import STIMULI, data_package, describe_table
+    from ..behaviour.trials import STIMULI
 
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
@@ -194,13 +194,8 @@ def simulate(
         }
         if run.out_dir is not None:
             atomic_write(run.path("truth.json"), to_json(known) + "\n")
-            unit = "mm" if encoding else ""
-            entry = describe_table(
-                "trials", table, unit=unit, title="Simulated choices", truth=known
-            )
-            package = data_package("weberwhisk-simulated", "Simulated choices", [entry])
-            atomic_write(run.path("datapackage.json"), to_json(package) + "\n")
             if animals is None and fittable:
+                unit = "mm" if encoding else ""
                 free = {name: truth[name] for name in trials.task.lapses}
                 free |= {"bias": bias} if trials.task.has_bias else {}
                 free |= {e.name: value for e, value in effects}
