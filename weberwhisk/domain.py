@@ -61,11 +61,12 @@ def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
         )
 
 
-def hint_at_curvature(curvature: ArrayLike) -> None:
-    """Warn of curvatures that no whisker has in 1/m and all have in 1/mm."""
-    size = np.abs(np.asarray(curvature, dtype=float))
-    if np.any(slip := (size > 2e-3) & (size < 0.1)):
-        at = float(np.asarray(curvature, dtype=float)[slip].flat[0])
+def hint_at_curvature(curvature: ArrayLike, length: ArrayLike) -> None:
+    """Warn of curvatures that no whisker has in 1/m and all have in 1/mm: by how far they turn."""
+    curvature, length = np.broadcast_arrays(curvature, length)
+    turn = np.abs(curvature * length)
+    if np.any(slip := (turn > 1e-4) & (turn < 2e-3)):
+        at = float(curvature[slip].flat[0])
         warn(
             f"curvature is in 1/m, got {at:g}: did you pass 1/mm? Write {1e3 * at:g}.",
             stacklevel=4,

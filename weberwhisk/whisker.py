@@ -146,7 +146,7 @@ class Whisker(Value):
                 f"base_radius {np.min(base):g} m; swap them or correct the unit."
             )
         domain.refuse_length(checked["length"], base)
-        domain.hint_at_curvature(checked["curvature"])
+        domain.hint_at_curvature(checked["curvature"], checked["length"])
         held = {n: array if array.ndim else float(array) for n, array in checked.items()}
         if isinstance(curvature, Assumed):
             held["curvature"] = curvature
