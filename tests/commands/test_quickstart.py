@@ -92,22 +92,24 @@ def test_the_surface_is_the_small_angle_form_at_small_angles() -> None:
 def test_the_rat_is_the_one_shipped(folder: Path, numbers: dict) -> None:
     rat = numbers["rat"]
     trials = load_rat_auditory(range(31, 38))
-    assert rat["n_trials"] == trials.n_trials
+    assert rat["data"]["n_trials"] == trials.n_trials
     fit = ww.fit_weber(trials, bias="per standard", seed=1)
     assert rat["weber_fraction"] == pytest.approx(fit.weber_fraction)
-    assert rat["interval"] == pytest.approx(list(fit.interval()))
+    assert [rat["lower"], rat["upper"]] == pytest.approx(list(fit.interval()))
     choices = pd.read_csv(folder / "rat_choices.csv")
     assert choices["n"].sum() == trials.n_trials
-    assert rat["interval"][0] < rat["weber_fraction"] < rat["interval"][1]
+    assert rat["lower"] < rat["weber_fraction"] < rat["upper"]
+    assert (folder / "rat_report.txt").read_text("utf-8") in (folder / "quickstart.txt").read_text(
+        "utf-8"
+    )
 
 
 def test_the_text_says_what_was_found(folder: Path, numbers: dict) -> None:
     text = " ".join((folder / "quickstart.txt").read_text("utf-8").split())
     rat, curve = numbers["rat"], numbers["jnd_curve"]
     for words in (
-        f"{rat['n_trials']} choices",
-        f"the Weber fraction is {rat['weber_fraction']:.2f}",
-        f"would be {rat['without_lapses']['weber_fraction']:.2f}",
+        f"{rat['data']['n_trials']} choices",
+        f"{rat['weber_fraction']:.3g}, 95 % between {rat['lower']:.3g} and {rat['upper']:.3g}",
         f"{curve['tapered']['within_95_percent']} of 10 tapered points",
         "psytrack package",
         "unit is not published",

@@ -14,7 +14,7 @@ from .._util.checks import positive
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
 from ..cli import progress
-from . import command, describe, enough_draws, finish, whisker_line
+from . import command, describe, enough_draws, finish, whisker_line, with_options
 from .whiskers import curve_in_steps
 
 __all__ = ["jnd_surface", "moment_dominated", "quickstart", "rat_choices"]
@@ -51,6 +51,7 @@ def quickstart(
             "rat": rat,
         }
         text = explanation(identity, whisker, weber_fraction, draws, numbers)
+        atomic_write(run.path("rat_report.txt"), rat["report"])
         atomic_write(run.path("quickstart.txt"), text)
         atomic_write(run.path("quickstart.json"), to_json(numbers) + "\n")
     finish(run, as_json, numbers, text)
@@ -96,11 +97,9 @@ def _compared(
         "closed_form": closed / scale,
         "posterior": found / scale,
         "posterior_95_percent": 1.96 * error / scale,
-        "estimator": table["estimator"].to_numpy(float) / scale,
         "within_95_percent": int(np.sum(np.abs(found - closed) <= 1.96 * error)),
         "excess": found / closed - 1,
         "emcee_from_quadrature": float(np.max(np.abs(found / exact["posterior"].to_numpy() - 1))),
-        "not_converged": float(table["unreliable"].mean()),
     }
 
 
@@ -164,47 +163,15 @@ def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = 1e-9) -> ww.O
 def rat_choices(
     run: Run, seed: int, as_json: bool, sessions: tuple[int, int] = (31, 37)
 ) -> dict[str, Any]:
-    """The Weber fraction of a real rat, with and without lapses, and its choices by standard.
-
-    By default in the last sessions before its ladder of levels changed: it has learnt most.
-    """
+    """The Weber fraction of a real rat in the last sessions before its levels changed."""
     trials = ww.behaviour.load_rat_auditory(range(sessions[0], sessions[1] + 1))
-    never = {"lapse_low": 0.0, "lapse_high": 0.0}
-    with progress("Weber fraction of the rat", 2, as_json=as_json) as advance:
+    with progress("Weber fraction of the rat", 1, as_json=as_json) as advance:
         fit = ww.fit_weber(trials, bias="per standard", seed=seed)
         advance()
-        without = ww.fit_weber(trials, bias="per standard", priors=never, seed=seed)
-        advance()
-    seen = fit.residuals()
-    run.table("rat_choices", seen)
+    run.table("rat_choices", fit.residuals())
     run.table("rat_fit", fit.summary().reset_index())
-    atomic_write(run.path("rat_report.txt"), fit.report())
     run.figure("rat_psychometric", ww.plots.psychometrics(fit))
-    step = float(np.median(np.abs(seen["stimulus_2"] - seen["stimulus_1"])))
-    louder = seen["stimulus_2"] > seen["stimulus_1"]
-    right = seen["observed"].where(louder, 1 - seen["observed"])
-    biases = [fit.posterior.mean(name) for name in fit.parameters if name.startswith("bias")]
-    return {
-        "sessions": sessions,
-        "n_trials": trials.n_trials,
-        "standards": trials.standards,
-        "status": fit.status.name,
-        "message": fit.status.message,
-        "weber_fraction": fit.weber_fraction,
-        "interval": fit.interval(),
-        "step": step,
-        "lapse_low": [fit.posterior.mean("lapse_low"), *fit.interval(parameter="lapse_low")],
-        "lapse_high": [fit.posterior.mean("lapse_high"), *fit.interval(parameter="lapse_high")],
-        "bias_range": [min(biases), max(biases)],
-        "misfit": fit.misfit,
-        # Both orders count alike, however often each came.
-        "right_by_standard": right.groupby(seen["standard"]).mean().to_list(),
-        "without_lapses": {
-            "weber_fraction": without.weber_fraction,
-            "interval": without.interval(),
-            "misfit": without.misfit,
-        },
-    }
+    return {"sessions": sessions, "report": with_options(fit.report()), **fit.to_dict()}
 
 
 # -- what is said --------------------------------------------------------------------------------
@@ -214,33 +181,38 @@ def explanation(
     identity: str, whisker: ww.Whisker, k: float, draws: int, numbers: dict[str, Any]
 ) -> str:
     """Everything in plain words; every number comes from `numbers`."""
+    rat = numbers["rat"]
     parts = [
         f"A mean {identity} whisker of rats (Belli et al. 2017). {whisker_line(whisker)} Receptor "
         f"noise follows Weber's law with k = {k:g}: the sd of a reading is {k:.3g} of the signal. "
         "All JNDs here are one sd (d' = 1), and are given over k times the whisker's length L.",
         _of_curve(numbers["jnd_curve"], draws),
         _of_surface(numbers["jnd_surface"]),
-        *_of_rat(numbers["rat"]),
+        f"3. A real rat (rat_psychometric.png). {rat['data']['n_trials']} choices of one rat, "
+        f"sessions {rat['sessions'][0]} to {rat['sessions'][1]}: which of two sounds was louder, "
+        f"around {len(rat['data']['standards'])} standards. The stimulus column is a normalised "
+        "logarithm of sound level whose unit is not published with it, so its Weber fraction "
+        "cannot be put beside another, nor beside the k of the whisker above, which is an "
+        "assumption: no Weber fraction of whisker force or moment has been measured. What "
+        "`weberwhisk fit` reports of such a table:",
     ]
-    return "\n\n".join(textwrap.fill(part, 92) for part in parts) + "\n"
+    credit = (
+        "Data: rat W053, first 40 sessions; sample data of the psytrack package "
+        "(github.com/nicholas-roy/psytrack), MIT licence, copyright Nicholas A. Roy; task of "
+        "Akrami, Kopec, Diamond & Brody 2018, Nature 554:368. Whisker: Belli, Yang, Bresee & "
+        "Hartmann 2017, J Neurophysiol 117:1807."
+    )
+    filled = [textwrap.fill(part, 92) for part in parts]
+    return "\n\n".join([*filled, rat["report"].rstrip(), textwrap.fill(credit, 92)]) + "\n"
 
 
 def _of_curve(curve: dict[str, Any], draws: int) -> str:
     taper, cylinder = curve["tapered"], curve["cylinder"]
     places = taper["r_over_length"]
     middle, last = len(places) // 2, -1
-    worst = int(np.argmax(np.abs(taper["excess"])))
     agree = max(w["emcee_from_quadrature"] for w in curve.values())
-    lost = max(w["not_converged"] for w in curve.values())
-    end = cylinder["excess"][last]
-    why = (
-        "The closed form takes the slope at the contact alone; the observer also knows that the "
-        "whisker ends, which cuts the wide posteriors of the cylinder short there. "
-        if end < -0.05
-        else ""
-    )
     return (
-        f"1. JND curve (jnd_curve.png; the paper's figure 4a). Lines are the closed forms of the "
+        "1. JND curve (jnd_curve.png; the paper's figure 4a). Lines are the closed forms of the "
         f"rotational compliance cue, points the mean sd of {draws} emcee posteriors each. Tapered: "
         f"the JND is {taper['closed_form'][middle]:.2f} kL at {places[middle]:.2f} L and "
         f"{taper['closed_form'][last]:.2f} kL at {places[last]:.2f} L, so resolution is better "
@@ -248,13 +220,11 @@ def _of_curve(curve: dict[str, Any], draws: int) -> str:
         f"{taper['posterior'][last]:.3f} ± {taper['posterior_95_percent'][last]:.3f}. Cylinder: it "
         f"grows all the way, {cylinder['closed_form'][middle]:.2f} and "
         f"{cylinder['closed_form'][last]:.2f} kL; posterior {cylinder['posterior'][middle]:.2f} "
-        f"and {cylinder['posterior'][last]:.2f}. "
-        f"Where they disagree: {taper['within_95_percent']} of {len(places)} tapered points and "
+        f"and {cylinder['posterior'][last]:.2f}, {cylinder['excess'][last]:+.0%} at the last "
+        "place, where the observer also knows that the whisker ends. "
+        f"{taper['within_95_percent']} of {len(places)} tapered points and "
         f"{cylinder['within_95_percent']} of {len(places)} cylindrical ones lie on the line within "
-        f"95 %; the tapered posterior is furthest off at {places[worst]:.2f} L "
-        f"({taper['excess'][worst]:+.1%}), the cylinder's at {places[last]:.2f} L is {end:+.0%}. "
-        f"{why}emcee is within {agree:.1%} of quadrature everywhere, and {lost:.0%} of its "
-        "posteriors have not converged."
+        f"95 %. emcee is within {agree:.1%} of quadrature everywhere."
     )
 
 
@@ -263,7 +233,7 @@ def _of_surface(surface: dict[str, Any]) -> str:
     angles = ", ".join(
         f"{v:.2f} at {a}°" for a, v in surface["at_0.7_length"].items() if np.isfinite(v)
     )
-    told = "; ".join(
+    dots = "; ".join(
         f"{p['posterior']:.2f} ± {p['posterior_95_percent']:.2f} against {p['surface']:.2f} at "
         f"{p['r_over_length']:.1f} L and {p['degrees']:.0f}°"
         for p in surface["posteriors"]
@@ -274,67 +244,12 @@ def _of_surface(surface: dict[str, Any]) -> str:
         "give distance and angle; noise is in the moment alone. The JND over kL falls with "
         f"distance (at 10°: {distances}) and with deflection (at 0.7 L: {angles}), as the paper "
         "says. Past the black line the whisker flicks past the object, at "
-        f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L, and there is nothing to "
-        f"feel. Full posteriors with a tenth of the noise in the axial force (the dots): {told}. "
-        "They need not agree: the surface is the slope at one contact, a posterior averages over "
-        "the contacts that a reading allows and ends where the whisker does. The orange line is a "
-        "false zero: there the axial force stops changing with angle, so that the slope alone "
-        "calls distance known exactly, which no posterior does; do not take the dark band about "
-        "it for resolution. It lies beyond the contact angle of 90° (dashed), where the paper's "
-        "figure ends; with noise in the axial force alone there is one within it, where the moment "
-        "stops changing with angle (python analyses/gallery/make.py weber-2d). "
-        f"Of those posteriors up to {bad:.0%} at one place are flagged as not reliable, and ± is "
-        "the scatter over readings only, so read the dots as a rough check."
-    )
-
-
-def _of_rat(rat: dict[str, Any]) -> list[str]:
-    (low, high), (low_0, high_0) = rat["interval"], rat["without_lapses"]["interval"]
-    k, step = rat["weber_fraction"], rat["step"]
-    lapse, lapse_high = rat["lapse_low"], rat["lapse_high"]
-    softest, loudest = (rat["right_by_standard"][i] for i in (0, -1))
-    return [
-        f"3. A real rat (rat_psychometric.png, rat_report.txt). {rat['n_trials']} choices of one "
-        f"rat, sessions {rat['sessions'][0]} to {rat['sessions'][1]}: which of two sounds was "
-        f"louder, around {len(rat['standards'])} standards. Fitted with a response bias for each "
-        f"standard, the Weber fraction is {k:.2f} (95 %: {low:.2f} to {high:.2f}) per unit of the "
-        f"stimulus column, or {k / step:.2f} of the usual step of {step:.2f} between the two "
-        f"sounds. Lapses: {lapse[0]:.0%} ({lapse[1]:.0%} to {lapse[2]:.0%}) where the second is "
-        f"softer, {lapse_high[0]:.0%} ({lapse_high[1]:.0%} to {lapse_high[2]:.0%}) where it is "
-        f"louder. {rat['message'][0].upper()}{rat['message'][1:]}, if the model holds; "
-        f"its curves {_fits(rat['misfit'])} the choices (posterior-predictive "
-        f"p = {rat['misfit']:.2g}).",
-        "What these data cannot say. The column is a normalised logarithm of sound level whose "
-        "unit is not published with it, so this Weber fraction cannot be put beside another, nor "
-        "beside the k of the whisker above, which is an assumption: no Weber fraction of whisker "
-        "force or moment has been measured. There are only two pairs of sounds at each standard, "
-        "so its size hangs on the lapses: fixed at none, it would be "
-        f"{rat['without_lapses']['weber_fraction']:.2f} ({low_0:.2f} to {high_0:.2f}), with curves "
-        f"that {_fits(rat['without_lapses']['misfit'])} the choices "
-        f"(p = {rat['without_lapses']['misfit']:.2g}). {_most_lapses(lapse[0], lapse_high[0])}The "
-        f"biases, from {rat['bias_range'][0]:+.1f} to {rat['bias_range'][1]:+.1f} sds, depend on "
-        "the standard, as when the first sound is remembered as nearer to the mean of all; the "
-        "model describes this and does not explain it. Nor do the steps look equally easy, as "
-        "they would to one Weber fraction without bias: the mean share of right answers is "
-        f"{softest:.0%} at the softest standard and {loudest:.0%} at the loudest; "
-        "weber_law_test(fit) weighs that (some 20 s).",
-        "Data: rat W053, first 40 sessions; sample data of the psytrack package "
-        "(github.com/nicholas-roy/psytrack), MIT licence, copyright Nicholas A. Roy; task of "
-        "Akrami, Kopec, Diamond & Brody 2018, Nature 554:368. Whisker: Belli, Yang, Bresee & "
-        "Hartmann 2017, J Neurophysiol 117:1807.",
-    ]
-
-
-def _fits(misfit: float) -> str:
-    """What a posterior-predictive p says of curves and choices."""
-    return "miss" if misfit < 0.01 else "barely meet" if misfit < 0.1 else "meet"
-
-
-def _most_lapses(low: float, high: float) -> str:
-    """A remark on lapses that are not lapses of attention."""
-    if max(low, high) < 0.1 or max(low, high) < 2 * min(low, high):
-        return ""
-    return (
-        "Lapses so much larger on one side are hardly inattention: they stand for habits that "
-        "the model does not know. "
+        f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L. Full posteriors with a "
+        f"tenth of the noise in the axial force (the dots): {dots}. They need not agree: the "
+        "surface is the slope at one contact, a posterior averages over the contacts that a "
+        "reading allows and ends where the whisker does. The orange line is a false zero: there "
+        "the axial force stops changing with angle, so that the slope alone calls distance known "
+        "exactly, which no posterior does. It lies beyond the contact angle of 90° (dashed), where "
+        f"the paper's figure ends. Up to {bad:.0%} of the posteriors at one place are flagged as "
+        "not reliable, and ± is the scatter over readings only: the dots are a rough check."
     )
