@@ -442,9 +442,6 @@ def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> N
     [
         ["--cue", "moment", "--deflection-angle-deg", "5"],
         ["--cue", "fused"],
-        ["--receptors", "log-normal"],
-        ["--receptors", "floor=0.05"],
-        ["--receptors", "saturating=2"],
     ],
 )
 def test_choices_by_other_cues_and_receptors(
@@ -635,11 +632,6 @@ C2 = ["--identity", "C2"]
         (["jnd", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
         (["simulate", *C2, "--cue", "vibrissa-length"], "reports events, all or none"),
         (["next", *C2, "--cue", "two-whiskers"], "there is no Weber fraction to find"),
-        (["simulate", "--receptors", "weber"], "--receptors needs a whisker"),
-        (["simulate", *C2, "--cue", "fused", "--receptors", "weber"], "receptors of its own"),
-        (["simulate", *C2, "--receptors", "flor=1"], "did you mean 'floor'?"),
-        (["simulate", *C2, "--receptors", "floor"], "--receptors floor takes a number"),
-        (["simulate", *C2, "--receptors", "floor=x"], "--receptors must be a number, got 'x'"),
         (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
         (["simulate", "--effect", "history"], "the value of an effect must be a number"),
         (["simulate", "--weber-fraction", "-1"], "--weber-fraction must be above zero"),

@@ -240,7 +240,7 @@ NUMERIC = {
     "jnd": ["--radial-distance-mm", "--deflection-angle-deg", "--weber-fraction", "--seed",
             "--tip-radius-um"],
     "simulate": ["--standard", "--standard-mm", "--offset", "--weber-fraction", "--lapse-low",
-                 "--lapse-high", "--bias", "--drift", "--missing", "--spread", "--seed"],
+                 "--lapse-high", "--bias", "--missing", "--spread", "--seed"],
     "fit": ["--log-unit", "--lapse-prior", "--session", "--seed", "--deflection-angle-deg"],
 }  # fmt: skip
 WORDED = {

@@ -98,13 +98,6 @@ _SHARED: dict[str, Any] = {
         "the lightest tap]",
         _of("Cue and receptors"),
     ],
-    "receptors": Annotated[
-        str | None,
-        "Noise of forces: weber, log-normal, floor=<sd>, "
-        "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
-        "length.  [default: weber]",
-        {"metavar": "NAME"},
-    ],
     "standard_mm": Annotated[Texts, "Radial distances, where there is a whisker."],
     "radial_distance_mm": Annotated[Texts, "Straight line to the contact."],
     "column": Annotated[Texts, "Its own name of a quantity.", {"metavar": "NAME=COLUMN"}],

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import numpy as np
 
 import weberwhisk as ww
 
@@ -18,19 +15,14 @@ from ..cli import numbers
 
 if TYPE_CHECKING:
     from ..behaviour import CueEncoding
-    from ..receptors import ReceptorNoise
 
 __all__ = ["distance_encoding", "next_trials", "simulate"]
-
-#: Receptors with a number, in units of the signals at half the length, and without one.
-SCALED, PLAIN = ("floor", "ceiling", "saturating"), ("weber", "log-normal")
 
 
 def distance_encoding(
     shape: opt.Shape,
     cue: str | None,
     angles_deg: opt.Texts,
-    receptors: str | None = None,
     *,
     fitted: bool = True,
 ) -> tuple[CueEncoding | None, ww.Whisker | None]:
@@ -39,8 +31,7 @@ def distance_encoding(
     With `fitted` the answers must tell of a Weber fraction.
     """
     if not shape.given:
-        options = (("--cue", cue), ("--deflection-angle-deg", angles_deg))
-        for name, given in (*options, ("--receptors", receptors)):
+        for name, given in (("--cue", cue), ("--deflection-angle-deg", angles_deg)):
             if given:
                 raise ValueError(f"{name} needs a whisker, got none; write --identity C2, say.")
         return None, None
@@ -52,14 +43,6 @@ def distance_encoding(
             "compare; write --cue compliance, say."
         )
     angle = opt.one_angle(angles)
-    if cue not in opt.SCENES:
-        noise = _receptors(receptors or "weber", observer, angle)
-        observer = replace(observer, noise=noise)
-    elif receptors:
-        raise ValueError(
-            f"The cue {cue} has receptors of its own, got --receptors {receptors}; leave it out, "
-            "or write --cue force-map."
-        )
     encoding = ww.behaviour.CueEncoding(observer, angle, unit=1e-3)
     if fitted and not encoding.has_weber_fraction:
         raise ValueError(
@@ -69,41 +52,11 @@ def distance_encoding(
     return encoding, whisker
 
 
-def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:
-    """The noise of forces that `--receptors` names."""
-    name, _, given = text.partition("=")
-    checks.one_of("--receptors", name, (*PLAIN, *SCALED))
-    if (name in PLAIN) == bool(given):
-        raise ValueError(
-            f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
-            f"{name if given else f'{name}=0.5'}, say."
-        )
-    usual = ww.inference.default_noise(observer.whisker, observer.cue, 0.1)
-    if name in PLAIN:
-        return usual if name == "weber" else ww.receptors.LogNormal(0.1)
-    number = float(checks.positive("--receptors", given, f"write {name}=0.5, say"))
-    contact: list[Any] = [0.5 * observer.whisker.length]
-    if "deflection_angle" in observer.unknowns:
-        contact.append(angle)
-    typical = np.abs(observer.signals(contact)[0])
-    if not np.isfinite(typical).all():
-        raise ValueError(
-            "--receptors are in units of the signals at half the length, and there the "
-            "contact is lost; give a smaller --deflection-angle-deg."
-        )
-    # Their own Weber fraction, 0.1, is the scale of the one that is fitted.
-    if name == "floor":
-        return ww.receptors.GeneralisedWeber(0.1, floor=number * typical)
-    law = ww.receptors.Saturating if name == "saturating" else ww.receptors.GeneralisedWeber
-    return law(0.1, floor=usual.floors(len(typical)), ceiling=number * typical)
-
-
 @opt.command
 def simulate(
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
-    receptors: str | None = None,
     standard: Annotated[opt.Texts, "Magnitudes compared with.  [default: 1]"] = None,
     standard_mm: opt.Texts = None,
     offset: Annotated[
@@ -113,8 +66,6 @@ def simulate(
     lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
     lapse_high: Annotated[float, "Share lost at the high end."] = 0.0,
     bias: Annotated[float, "Towards the second, in sds."] = 0.0,
-    drift: Annotated[float, "Change of ln k from the first session to the last."] = 0.0,
-    bias_drift: Annotated[float, "Change of the bias from the first session to the last."] = 0.0,
     effect: Annotated[
         opt.Texts,
         "What else moves the answers, as in fit, with its parameter: history:0.5; may be repeated.",
@@ -143,7 +94,7 @@ def simulate(
     from ..behaviour.simulate import SIGNED_OFFSETS
     from ..behaviour.trials import STIMULI
 
-    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
     if encoding is None and standard_mm:
         raise ValueError(
@@ -166,7 +117,7 @@ def simulate(
         design: dict[str, Any] = truth | {
             "standards": base, "offsets": levels, "encoding": encoding, "effects": effects,
             "trials_per_level": trials_per_level, "order": order, "sessions": sessions,
-            "drift": drift, "bias_drift": bias_drift, "missing": missing, "task": task,
+            "missing": missing, "task": task,
             "seed": seed,
         }  # fmt: skip
         if subjects == 1:
@@ -178,8 +129,6 @@ def simulate(
             table = table.rename(columns={name: f"{name}_mm" for name in STIMULI})
         run.table("trials", table)
         known = truth | ({} if fittable else {"weber_fraction": None})
-        if drift or bias_drift:
-            known |= {"drift": drift, "bias_drift": bias_drift}
         if animals is not None:
             known |= {"spread": spread, "animals": animals.to_dict("records")}
         if effects:
@@ -223,7 +172,7 @@ def simulate(
 def _again(inputs: dict[str, Any]) -> str:
     """The options that `fit` needs for the same encoding."""
     words = []
-    for name in (*opt.Shape._fields, "cue", "deflection_angle_deg", "receptors"):
+    for name in (*opt.Shape._fields, "cue", "deflection_angle_deg"):
         value = inputs[name]
         if value:
             text = ",".join(value) if isinstance(value, list) else f"{value}"

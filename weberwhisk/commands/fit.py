@@ -80,7 +80,6 @@ def fit(
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
-    receptors: str | None = None,
     distances: Annotated[
         Path | None,
         "Where the touches of each trial were located (weberwhisk locate), by columns trial and "
@@ -100,7 +99,7 @@ def fit(
     inputs = opt.as_asked(locals())
     from ..behaviour.effects import effect_named
 
-    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
     trials = _selected(trials, subject, session, together)
     if encoding is not None:
