@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from weberwhisk._util.log import read_lines
+from weberwhisk._util.log import Log
 from weberwhisk.behaviour import IdentityEncoding
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice
@@ -95,8 +95,8 @@ def test_another_sessions_file_is_refused(tmp_path: Path) -> None:
         Session(placer(), file, {"animal": "rat1"}),
     ):
         pass
-    with pytest.raises(ValueError, match="is not the file of a walk"):
-        read_lines(file, "walk")
+    with pytest.raises(ValueError, match="is not the file of a walk"), Log(file, "walk", {}):
+        pass
 
 
 # -- the command ---------------------------------------------------------------------------------

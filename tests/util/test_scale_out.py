@@ -17,7 +17,6 @@ import pytest
 from test_campaign import CHUNKS, logged, same
 
 import weberwhisk as ww
-from weberwhisk import campaign
 from weberwhisk._util.campaign import CampaignError, run
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, taper
@@ -85,11 +84,10 @@ def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> 
 
 
 def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    connect = campaign._cluster
-    monkeypatch.setattr(campaign, "_cluster", lambda address: connect(address, timeout=0.3))
-    with pytest.raises(
-        ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "0.3s"}),
+        pytest.raises(ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"),
     ):
         run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
     with pytest.raises(ValueError, match="no scheduler could be reached at 'nonsense'"):

@@ -1,8 +1,6 @@
-"""Threads: as many as are allowed, and none in a worker process."""
+"""Cores, and one thread for linear algebra."""
 
 from __future__ import annotations
-
-import multiprocessing
 
 import numpy as np
 import pytest
@@ -15,32 +13,13 @@ from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
 
 
-def test_cores_and_who_may_use_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_for_each_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    assert threads.thread_count() == all_cores(None, None) == 8
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert threads.thread_count() == 3
-    monkeypatch.setattr(multiprocessing, "parent_process", lambda: object())
-    assert threads.thread_count() == 1
-
-
-def test_an_error_in_a_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threads, "thread_count", lambda: 2)
-    with pytest.raises(ZeroDivisionError):
-        list(threads.on_threads(lambda n: 1 // n, [1, 0, 2]))
-
-
-def test_numpy_errors_are_raised_or_not_as_the_caller_has_set(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(threads, "thread_count", lambda: 2)
-    with np.errstate(divide="ignore"):
-        assert list(threads.on_threads(np.log, np.zeros(3))) == [-np.inf] * 3
+    assert all_cores(None, None) == 8
 
 
 def test_the_limit_lasts_until_the_last_thread_leaves_it() -> None:
-    """The first to leave took the limit from the others."""
+    """The first to leave must not end it for the others."""
 
     def most() -> int:
         return max(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")

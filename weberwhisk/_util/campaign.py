@@ -8,45 +8,37 @@ the same to the bit whatever does it and in what order.
 from __future__ import annotations
 
 import json
-import logging
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
-from functools import cache, partial
-from importlib import import_module
-from operator import attrgetter
+from concurrent.futures import BrokenExecutor, CancelledError, as_completed
+from contextlib import closing, contextmanager, nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from . import checks, output
-from .log import Log, read_lines
+from .log import Log
 from .output import shown
 from .threads import core_count, in_browser, limited_blas
 from .values import pd
 
-__all__ = ["CampaignError", "all_cores", "read", "run"]
+__all__ = ["CampaignError", "all_cores", "run"]
 
-KIND = "sweep"  # of its log
 Chunk = dict[str, Any]
 Work = Callable[[Chunk, np.random.SeedSequence], "pd.DataFrame"]
+Task = tuple[Work, int, Chunk, np.random.SeedSequence, dict[str, str | None]]  # as `_line` takes it
+Pool = tuple[Callable[..., Any], Callable[..., Iterator[Any]]]  # submit and as_completed
 
 
 class CampaignError(RuntimeError):
     """A sweep that could not be finished; what it has done is in its file."""
-
-
-@cache
-def versions() -> dict[str, str | None]:
-    """What the bits of a result hang on."""
-    return output.versions("numpy", "scipy")
 
 
 def run(
@@ -84,7 +76,7 @@ def run(
         the same weberwhisk, NumPy and SciPy.
     out : path, optional
         A file to stream into, JSON lines. Where it holds part of the same sweep (work, chunks, seed
-        and versions), the rest is done. `read` reads it at any time.
+        and versions), the rest is done.
     title : str
         Shown beside the progress bar.
     progress : callable, optional
@@ -115,7 +107,11 @@ def run(
     >>> table["closed_form_mm"].round(3).tolist()
     [0.226, 0.453]
     """
-    job = Job.of(work, chunks, seed)
+    name = _name(work)
+    plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]
+    if not plain:
+        raise ValueError("there are no chunks; give one dict or more.")
+    root = _root(seed)
     checks.whole("workers", workers, "write 2")
     if workers > 1 and in_browser():
         warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
@@ -124,31 +120,36 @@ def run(
         raise ValueError(
             f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."
         )
-    with ExitStack() as opened:
-        log = None
-        if out is not None:
-            log = opened.enter_context(Log(out, KIND, job.question, {"title": title}))
-        lines = _by_number(log.lines if log else [], len(job.chunks))
-        missing = [number for number in range(len(job.chunks)) if number not in lines]
-        if missing and progress is None:
-            bar = shown(title or "Sweep", len(job.chunks), done=len(lines))
-            progress = opened.enter_context(bar)
-        elif progress is not None and lines and missing:
+    versions = output.versions("numpy", "scipy")  # what the bits of a result depend on
+    question = {
+        "work": name, "chunks": plain, "versions": versions,
+        "seed": {"entropy": np.asarray(root.entropy, dtype=object).tolist(),
+                 "spawn_key": root.spawn_key},
+    }  # fmt: skip
+    with nullcontext() if out is None else Log(out, "sweep", question) as log:
+        lines = _by_number(log.lines if log else [], len(plain))
+        tasks = [
+            (work, number, chunk, own, versions)
+            for number, (chunk, own) in enumerate(zip(plain, root.spawn(len(plain)), strict=True))
+            if number not in lines
+        ]
+        if progress and tasks and lines:
             progress(len(lines))
-        try:
-            with closing(_done(job, missing, workers, scheduler)) as done:
-                for number, line in done:
-                    if log is not None:
-                        log.append(line)
-                    lines[number] = line
-                    assert progress is not None
-                    progress(1)
-        except CampaignError as error:
-            if log is not None:
-                kept = f" {len(lines)} chunks are done and kept in {str(log.path)!r}."
-                error.args = (f"{error}{kept}",)
-            raise
-        return _decoded(lines)
+        bar = shown(title or "Sweep", len(plain), done=len(lines))
+        with nullcontext(progress) if progress else bar as advance:
+            try:
+                with closing(_done(tasks, workers, scheduler)) as done:
+                    for number, line in done:
+                        if log:
+                            log.append(line)
+                        lines[number] = line
+                        advance(1)
+            except CampaignError as error:
+                if log:
+                    kept = f"{len(lines)} chunks are done and kept in {str(log.path)!r}."
+                    error.args = (f"{error} {kept}",)
+                raise
+    return _decoded(lines)
 
 
 def all_cores(workers: int | None, scheduler: str | None) -> int:
@@ -164,78 +165,20 @@ def all_cores(workers: int | None, scheduler: str | None) -> int:
     return core_count() if scheduler is None else 1
 
 
-def read(path: str | os.PathLike[str]) -> pd.DataFrame:
-    """The rows that a sweep has written so far, in the order of its chunks.
-
-    The file may be of a sweep that is still running.
-
-    Raises
-    ------
-    ValueError
-        If the file is no sweep's.
-    """
-    return _decoded(_by_number(read_lines(path, KIND)))
-
-
 # -- one chunk -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Job:
-    """What is done with each of the chunks, and the root of their seeds."""
-
-    work: Work
-    chunks: Sequence[Chunk]
-    entropy: int | Sequence[int]
-    spawn_key: tuple[int, ...]
-
-    @classmethod
-    def of(cls, work: Work, chunks: Iterable[Chunk], seed: int | np.random.SeedSequence) -> Job:
-        """The job as requested, or a refusal."""
-        own = _function(work)
-        module, name = getattr(own, "__module__", None), getattr(own, "__qualname__", None)
-        found: Any = None
-        with suppress(AttributeError):
-            found = attrgetter(name)(import_module(module)) if module and name else None
-        if found is None or found is not own:
-            raise ValueError(
-                f"work must be a function at the top level of a module, got {work!r}; move it "
-                "there, and what it needs to know into the chunks."
-            )
-        plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]
-        if not plain:
-            raise ValueError("there are no chunks; give one dict or more.")
-        if isinstance(seed, bool) or not (
-            isinstance(seed, np.random.SeedSequence)
-            or (isinstance(seed, int | np.integer) and seed >= 0)
-        ):
-            raise ValueError(
-                f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is "
-                "resumed must find the same seeds again: write 1, say."
-            )
-        root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        entropy = np.asarray(root.entropy, dtype=object).tolist()
-        return cls(work, plain, entropy, tuple(int(k) for k in root.spawn_key))
-
-    @property
-    def question(self) -> dict[str, Any]:
-        """What its file says was asked."""
-        own = _function(self.work)
-        return {
-            "work": f"{own.__module__}:{own.__qualname__}",
-            "seed": {"entropy": self.entropy, "spawn_key": list(self.spawn_key)},
-            "chunks": list(self.chunks), "versions": versions(),
-        }  # fmt: skip
-
-    def task(self, number: int) -> tuple[Any, ...]:
-        """What `_line` takes."""
-        seed = np.random.SeedSequence(self.entropy, spawn_key=(*self.spawn_key, number))
-        return self.work, number, self.chunks[number], seed, versions()
-
-
-def _function(work: Any) -> Any:
-    """The function of a partial."""
-    return work.func if isinstance(work, partial) else work
+def _name(work: Work) -> str:
+    """Module and name of the work, or of the function of a partial."""
+    own = getattr(work, "func", work)
+    try:
+        pickle.dumps(work)  # as a worker gets it
+        return f"{own.__module__}:{own.__qualname__}"
+    except (pickle.PicklingError, AttributeError, TypeError):
+        raise ValueError(
+            f"work must be a function at the top level of a module, got {work!r}; move it "
+            "there, and what it needs to know into the chunks."
+        ) from None
 
 
 def _plain(number: int, chunk: Chunk) -> Chunk:
@@ -251,43 +194,62 @@ def _plain(number: int, chunk: Chunk) -> Chunk:
         ) from None
 
 
+def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
+    """The root of the chunks' seeds, which has no children yet."""
+    if isinstance(seed, np.random.SeedSequence):
+        return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(
+            f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is "
+            "resumed must find the same seeds again: write 1, say."
+        )
+    return np.random.SeedSequence(int(seed))
+
+
 def _line(
     work: Work, number: int, chunk: Chunk, seed: np.random.SeedSequence, wanted: dict[str, Any]
 ) -> str:
     """The table of a chunk as one line of JSON, every number to its last bit."""
-    if versions() != wanted:
-        raise CampaignError(f"a worker has {versions()}, not {wanted}.")
+    versions = output.versions("numpy", "scipy")
+    if versions != wanted:
+        raise CampaignError(f"a worker has {versions}, not {wanted}.")
     try:
         with limited_blas():
             table = work(dict(chunk), seed)
-        if not isinstance(table, pd.DataFrame):
-            raise TypeError(f"work must return a DataFrame, got {type(table).__name__}")
-        if not table.columns.is_unique or not all(isinstance(name, str) for name in table):
-            raise TypeError(f"work must return columns with different names, got {[*table]}")
-        columns = {}
-        for name, column in table.items():
-            if isinstance(column.dtype, np.dtype) and column.dtype.kind in "biuf":
-                columns[name] = [column.dtype.name, column.tolist()]
-                continue
-            columns[name] = ["text", column.astype(object).where(column.notna(), None).tolist()]
-            if not all(value is None or isinstance(value, str) for value in columns[name][1]):
-                raise TypeError(
-                    f"work must return numbers, booleans or text, got a column {name!r} of "
-                    f"{column.dtype}"
-                )
-        return json.dumps({"chunk": number, "rows": len(table), "columns": columns})
+        return json.dumps({"chunk": number, "rows": len(table), "columns": _encoded(table)})
     except Exception as error:
         wrong = CampaignError(f"chunk {number} {chunk} failed: {type(error).__name__}: {error}.")
         wrong.add_note("".join(traceback.format_exception(error)))
         raise wrong from None
 
 
-def _by_number(lines: Sequence[str], count: float = np.inf) -> dict[int, str]:
+def _encoded(table: pd.DataFrame) -> dict[Any, tuple[str, list[Any]]]:
+    """Type and values of each column by its name."""
+    if not isinstance(table, pd.DataFrame):
+        raise TypeError(f"work must return a DataFrame, got {type(table).__name__}")
+    if not table.columns.is_unique or not all(isinstance(name, str) for name in table):
+        raise TypeError(f"work must return columns with different names, got {[*table]}")
+    columns = {}
+    for name, column in table.items():
+        if isinstance(column.dtype, np.dtype) and column.dtype.kind in "biuf":
+            columns[name] = column.dtype.name, column.tolist()
+            continue
+        text = column.astype(object).where(column.notna(), None).tolist()
+        if not all(value is None or isinstance(value, str) for value in text):
+            raise TypeError(
+                f"work must return numbers, booleans or text, got a column {name!r} of "
+                f"{column.dtype}"
+            )
+        columns[name] = "text", text
+    return columns
+
+
+def _by_number(lines: Sequence[str], count: int) -> dict[int, str]:
     """Lines of chunks by their number."""
     found = {int(json.loads(line)["chunk"]): line for line in lines}
     if found and max(found) >= count:
         raise ValueError(
-            f"the file has a line for chunk {max(found)} of {count:g}: it was changed by hand; "
+            f"the file has a line for chunk {max(found)} of {count}: it was changed by hand; "
             "name another file, or remove this one."
         )
     return found
@@ -300,7 +262,7 @@ def _decoded(lines: dict[int, str]) -> pd.DataFrame:
     if len({tuple(table["columns"]) for table in tables}) > 1:
         raise ValueError("chunks returned different columns; let work return the same ones always.")
     columns: dict[str, Any] = {}
-    for name in tables[0]["columns"] if tables else ():
+    for name in tables[0]["columns"]:
         parts = [table["columns"][name] for table in tables]
         if any(kind == "text" for kind, _ in parts):
             columns[name] = [value for _, values in parts for value in values]
@@ -313,43 +275,34 @@ def _decoded(lines: dict[int, str]) -> pd.DataFrame:
 
 
 def _done(
-    job: Job, numbers: Sequence[int], workers: int, scheduler: str | None
+    tasks: Sequence[Task], workers: int, scheduler: str | None
 ) -> Generator[tuple[int, str], None, None]:
     """Number and line of each chunk, as they are done."""
-    if scheduler is None and (workers == 1 or len(numbers) < 2):
-        for number in numbers:
-            yield number, _line(*job.task(number))
+    if scheduler is None and (workers == 1 or len(tasks) < 2):
+        for task in tasks:
+            yield task[1], _line(*task)
         return
-    pool = _processes(min(workers, len(numbers))) if scheduler is None else _cluster(scheduler)
-    with pool as (executor, check):
-        try:
-            futures = {executor.submit(_line, *job.task(number)): number for number in numbers}
-            left: set[Future[str]] = set(futures)
-            while left:
-                ended, left = wait(left, timeout=1.0, return_when=FIRST_COMPLETED)
-                failed = [future for future in ended if future.exception() is not None]
-                for future in ended - set(failed):
-                    yield futures[future], future.result()
-                for future in failed:
-                    future.result()
-                if left and not ended:
-                    check()
-        except BrokenExecutor:
-            raise CampaignError(
-                "a worker process was killed, as want of memory does, or could not start; a script "
-                'that starts workers needs `if __name__ == "__main__":`.'
-            ) from None
+    pool = _processes(min(workers, len(tasks))) if scheduler is None else _cluster(scheduler)
+    with pool as (submit, completed):
+        numbers = {submit(_line, *task): task[1] for task in tasks}
+        for future in completed(numbers):
+            yield numbers[future], future.result()
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[tuple[Executor, Callable[[], None]]]:
+def _processes(workers: int) -> Iterator[Pool]:
     """Processes of this machine, which end however this ends."""
     from concurrent.futures import ProcessPoolExecutor  # a browser's Python lacks it
 
     # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
     try:
-        yield pool, lambda: None
+        yield pool.submit, as_completed
+    except BrokenExecutor:
+        raise CampaignError(
+            "a worker process was killed, as want of memory does, or could not start; a script "
+            'that starts workers needs `if __name__ == "__main__":`.'
+        ) from None
     finally:
         processes = list((getattr(pool, "_processes", None) or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
@@ -360,7 +313,7 @@ def _processes(workers: int) -> Iterator[tuple[Executor, Callable[[], None]]]:
 
 
 def _begin() -> None:
-    """A worker's birth: who asked decides what an interrupt means, and it outlives nobody."""
+    """Leave an interrupt to the parent process, and end when it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -373,44 +326,26 @@ def _begin() -> None:
 
 
 @contextmanager
-def _cluster(address: str, timeout: float = 15.0) -> Iterator[tuple[Executor, Callable[[], None]]]:
-    """The workers of a dask scheduler, which gives the tasks of one that dies to another."""
+def _cluster(address: str) -> Iterator[Pool]:
+    """The workers of a dask scheduler."""
     try:
-        from distributed import Client, KilledWorker
+        import distributed
     except ImportError:
         raise ValueError(
             "a scheduler needs dask.distributed, which is not installed; write "
             "pip install 'weberwhisk[cluster]'."
         ) from None
-    # What it has to say of a lost connection is said here, in a sentence.
-    silent = logging.getLogger("distributed")
-    level = silent.level
-    silent.setLevel(logging.CRITICAL + 1)
     try:
-        client: Any = Client(address, set_as_default=False, timeout=timeout)
-    except (OSError, ValueError, TimeoutError) as error:
-        silent.setLevel(level)
+        client = distributed.Client(address)
+    except (OSError, ValueError) as error:
         raise ValueError(
             f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
             "with `dask scheduler`, and give the address that it prints."
         ) from error
-
-    def check() -> None:
-        if client.status != "running":
-            raise CampaignError("the cluster was lost: the scheduler does not answer.")
-
-    pool = client.get_executor(pure=False, retries=0)
     try:
-        yield pool, check
-    except KilledWorker as error:
+        with client:
+            yield partial(client.submit, pure=False, retries=0), distributed.as_completed
+    except distributed.KilledWorker as error:
         raise CampaignError(f"a chunk has killed its workers: {error}") from None
-    except (OSError, RuntimeError) as error:
-        if isinstance(error, CampaignError):
-            raise
-        raise CampaignError(f"the cluster was lost: {' '.join(str(error).split())}.") from None
-    finally:
-        with suppress(Exception):  # it may have gone
-            pool.shutdown(wait=False, cancel_futures=True)
-        with suppress(Exception):
-            client.close(timeout=2.0)
-        silent.setLevel(level)
+    except (OSError, CancelledError):
+        raise CampaignError("the cluster was lost: the scheduler does not answer.") from None

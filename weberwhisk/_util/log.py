@@ -11,12 +11,12 @@ import os
 import platform
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 from . import output
 from .checks import shown
 
-__all__ = ["Log", "read_lines"]
+__all__ = ["Log"]
 
 FORMAT = 1
 
@@ -26,8 +26,8 @@ class Log:
 
     Made if it is missing; where it holds an earlier part of the same, `lines` has that, without the
     first. `kind` is what it is a log of, one word; `question` what was asked, as JSON has it, the
-    same whenever the file is gone on with; `about` is for a reader of the file. Files of another
-    question or of none, that another process is writing, or that cannot be written, are refused.
+    same whenever the file is gone on with. Files of another question or of none, that another
+    process is writing, or that cannot be written, are refused.
 
     Examples
     --------
@@ -40,20 +40,13 @@ class Log:
     ['{"step": 1}']
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        kind: str,
-        question: dict[str, Any],
-        about: dict[str, Any] | None = None,
-    ) -> None:
+    def __init__(self, path: str | os.PathLike[str], kind: str, question: dict[str, Any]) -> None:
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"path must name a file, got {shown(path)}; write 'rat1.jsonl', say.")
         self.path = Path(path)
         self.lines: list[str] = []
         self._kind = kind
         self._question = json.loads(json.dumps(question))
-        self._about = about or {}
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -69,25 +62,50 @@ class Log:
                 ) from None
             except OSError as error:
                 raise output.unwritable(self.path, error) from error
-            header, self.lines, good = _parse(self._file, self.path, self._kind)
-            self._file.truncate(good)
-            if header is None:
-                self._begin()
-            else:
-                self._same(header)
+            self._file.seek(0)
+            self._resume(self._file.read())
             self._open = opened.pop_all()
         return self
+
+    def _resume(self, content: bytes) -> None:
+        """Take the lines of an earlier run, or write the first line of a new file."""
+        mark = f"weberwhisk_{self._kind}"
+        if not content:
+            python, made_with = platform.python_version(), output.versions("numpy", "scipy")
+            about = {"python": python, "made_with": made_with, "started": output.now()}
+            self.append(json.dumps({mark: FORMAT} | about | self._question))
+            return
+        lines = content.splitlines(keepends=True)
+        # The last may be half a line, or zeros after a power cut.
+        half = lines.pop() if len(lines) > 1 and _record(lines[-1]) is None else b""
+        records = [_record(line) for line in lines]
+        header = records[0]
+        whole = None not in records and isinstance(header, dict) and header.get(mark) == FORMAT
+        if not whole:
+            place = records.index(None) + 1 if None in records else 1
+            raise ValueError(
+                f"{str(self.path)!r} is not the file of a {self._kind}, or was changed by hand "
+                f"(line {place}); name another file."
+            )
+        for what, asked in self._question.items():
+            was = header.get(what)
+            if was != asked:
+                words = f"its {what} is {was}, not {asked}"
+                words = words if len(words) < 300 else f"its {what} are others"
+                raise ValueError(
+                    f"{str(self.path)!r} holds another {self._kind}: {words}; name another file, "
+                    "or remove this one."
+                )
+        self._file.truncate(len(content) - len(half))
+        self.lines = [line[:-1].decode("ascii") for line in lines[1:]]
 
     def __exit__(self, *error: object) -> None:
         with self._open:
             self.sync()
 
-    def append(self, *lines: str) -> None:
-        """Add lines; they are in the system's hands, safe from this process being killed.
-
-        All of them or, where that fails, none.
-        """
-        text = "".join(f"{line}\n" for line in lines).encode("ascii")
+    def append(self, line: str) -> None:
+        """Add a line, safe from this process being killed; where that fails, nothing is added."""
+        text = f"{line}\n".encode("ascii")
         before = os.fstat(self._file.fileno()).st_size
         try:
             while text:  # a nearly full disk takes a part
@@ -100,63 +118,10 @@ class Log:
         """Have it on the disk, safe from a power cut too."""
         os.fsync(self._file.fileno())
 
-    def _begin(self) -> None:
-        about: dict[str, Any] = {"python": platform.python_version()}
-        about["made_with"] = output.versions("numpy", "scipy")
-        about |= {"started": output.now()} | self._about
-        self.append(json.dumps({_mark(self._kind): FORMAT, **about, **self._question}))
 
-    def _same(self, header: dict[str, Any]) -> None:
-        for what, asked in self._question.items():
-            was = header.get(what)
-            if was == asked:
-                continue
-            words = f"its {what} is {was}, not {asked}"
-            words = words if len(words) < 300 else f"its {what} are others"
-            raise ValueError(
-                f"{str(self.path)!r} holds another {self._kind}: {words}; name another file, or "
-                "remove this one."
-            )
-
-
-def read_lines(path: str | os.PathLike[str], kind: str) -> list[str]:
-    """The lines written so far, without the first; the file may still be growing."""
-    with open(path, "rb") as file:
-        return _parse(file, Path(path), kind)[1]
-
-
-def _mark(kind: str) -> str:
-    return f"weberwhisk_{kind}"
-
-
-def _parse(file: BinaryIO, path: Path, kind: str) -> tuple[dict[str, Any] | None, list[str], int]:
-    """The header (None where the file has none yet), the lines, and where the good part ends."""
-    file.seek(0)
-    header: dict[str, Any] | None = None
-    lines: list[str] = []
-    good = 0
-    refusal = (
-        f"{str(path)!r} is not the file of a {kind}, or was changed by hand (line {{}}); name "
-        "another file."
-    )
-    mark = _mark(kind)
-    start = json.dumps({mark: FORMAT})[:-1].encode()
-    *whole, rest = file.read().split(b"\n")
-    for place, line in enumerate(whole):
-        try:
-            record = json.loads(line)
-            if place == 0:
-                header = record if record[mark] == FORMAT else None
-            else:
-                lines.append(line.decode("ascii"))
-        except (ValueError, KeyError, TypeError):
-            # A machine that goes down may leave zeros where the last line was to be.
-            if place == 0 or place < len(whole) - 1 or rest:
-                raise ValueError(refusal.format(place + 1)) from None
-            return header, lines, good
-        if header is None:
-            raise ValueError(refusal.format(1))
-        good += len(line) + 1
-    if header is None and not (rest.startswith(start) or start.startswith(rest)):
-        raise ValueError(refusal.format(1))
-    return header, lines, good
+def _record(line: bytes) -> Any:
+    """What a whole line says, None where it cannot be read."""
+    try:
+        return json.loads(line.decode("ascii")) if line.endswith(b"\n") else None
+    except ValueError:
+        return None
