@@ -23,19 +23,9 @@ from .priors import REACH, Priors
 from .tasks import Task
 
 __all__ = [
-    "Steps",
-    "Windows",
-    "bias_at",
-    "everything",
-    "kept",
-    "lapse_prior",
-    "lapse_weights",
-    "least_bias_sds",
-    "least_sds",
-    "log_lapses_possible",
-    "outer_signals",
-    "score_prior",
-]
+    "Steps", "Windows", "bias_at", "everything", "kept", "lapse_prior", "lapse_weights",
+    "least_bias_sds", "least_sds", "log_lapses_possible", "outer_signals", "score_prior",
+]  # fmt: skip
 
 
 def score_prior(axis: Array) -> Array:

@@ -23,10 +23,7 @@ from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise
 from ..sensitivity import weber_propagation
 
-__all__ = [
-    "CueEncoding",
-    "PooledEncoding",
-]
+__all__ = ["CueEncoding", "PooledEncoding"]
 
 
 @dataclass(frozen=True, repr=False)

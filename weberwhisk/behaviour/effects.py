@@ -22,18 +22,9 @@ from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
 
 __all__ = [
-    "EFFECTS",
-    "Contraction",
-    "Drift",
-    "Effect",
-    "Floor",
-    "History",
-    "Overdispersion",
-    "check_effects",
-    "check_valued",
-    "effect_named",
-    "effect_valued",
-]
+    "EFFECTS", "Contraction", "Drift", "Effect", "Floor", "History", "Overdispersion",
+    "check_effects", "check_valued", "effect_named", "effect_valued",
+]  # fmt: skip
 
 
 class Effect:

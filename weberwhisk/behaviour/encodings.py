@@ -18,25 +18,11 @@ from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PooledEncoding
 
 __all__ = [
-    "NOISES",
-    "ConstantNoise",
-    "Encoding",
-    "IdentityEncoding",
-    "LogAxisEncoding",
-    "LogEncoding",
-    "Signals",
-    "UnitEncodings",
-    "checked_encoding",
-    "chosen_encoding",
-    "described",
-    "encoding_for",
-    "gives_signal",
-    "in_words",
-    "refuse_out_of_reach",
-    "refuse_outside",
-    "refuse_unencoded",
+    "NOISES", "ConstantNoise", "Encoding", "IdentityEncoding", "LogAxisEncoding", "LogEncoding",
+    "Signals", "UnitEncodings", "checked_encoding", "chosen_encoding", "described", "encoding_for",
+    "gives_signal", "in_words", "refuse_out_of_reach", "refuse_outside", "refuse_unencoded",
     "unit_encodings",
-]
+]  # fmt: skip
 
 
 NOISES = ("weber", "equal-variance")

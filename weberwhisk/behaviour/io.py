@@ -29,11 +29,7 @@ from .trials import (
     standards_of,
 )
 
-__all__ = [
-    "load_numerosity",
-    "load_rat_auditory",
-    "read_trials",
-]
+__all__ = ["load_numerosity", "load_rat_auditory", "read_trials"]
 
 FORMS = (("stimulus_1", "stimulus_2"), ("standard", "comparison"), ("log_ratio",))
 ANSWERS = {

@@ -30,15 +30,9 @@ from .tasks import Task
 from .trials import Cells, Trials, check_trials
 
 __all__ = [
-    "BIASES",
-    "Draws",
-    "WeberModel",
-    "build_model",
-    "encoding_of",
-    "gather",
-    "names_by_standard",
+    "BIASES", "Draws", "WeberModel", "build_model", "encoding_of", "gather", "names_by_standard",
     "pairs_shown",
-]
+]  # fmt: skip
 
 BIASES = ("none", "shared", "per standard")
 RHO_TINY = 1e-7  # below this a beta-binomial is a binomial, and log-gammas lose their digits

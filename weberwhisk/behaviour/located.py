@@ -36,13 +36,7 @@ from .psychometric import response_probability
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
 
-__all__ = [
-    "at_touches",
-    "estimate_scatter",
-    "over_places",
-    "simulate_moving",
-    "with_distances",
-]
+__all__ = ["at_touches", "estimate_scatter", "over_places", "simulate_moving", "with_distances"]
 
 _HINT = "write distances=ww.locate(contacts, whisker, touch='touch')"
 #: Columns of `locate` and of the posterior of a touch: mean, sd, status.

@@ -24,13 +24,7 @@ from .integrate import PosteriorGrid, density_of, log_marginal
 from .likelihood import Draws, WeberModel
 from .priors import REACH
 
-__all__ = [
-    "QuadraturePosterior",
-    "SampledPosterior",
-    "WeberPosterior",
-    "prior_draws",
-    "sample",
-]
+__all__ = ["QuadraturePosterior", "SampledPosterior", "WeberPosterior", "prior_draws", "sample"]
 
 
 def split(model: WeberModel, theta: Array) -> tuple[Array, Array]:

@@ -22,18 +22,9 @@ from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
 
 __all__ = [
-    "DEFAULTS",
-    "PLAIN",
-    "REACH",
-    "SPREAD",
-    "TINY",
-    "LapseTransform",
-    "Priors",
-    "check_distribution",
-    "lapse_transform",
-    "of_task",
-    "priors_for",
-]
+    "DEFAULTS", "PLAIN", "REACH", "SPREAD", "TINY", "LapseTransform", "Priors",
+    "check_distribution", "lapse_transform", "of_task", "priors_for",
+]  # fmt: skip
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass

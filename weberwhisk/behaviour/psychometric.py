@@ -20,13 +20,7 @@ from .encodings import (
 )
 from .tasks import Task, rises_on_both_sides
 
-__all__ = [
-    "criterion",
-    "decision_variable",
-    "difference_sd",
-    "response_probability",
-    "threshold",
-]
+__all__ = ["criterion", "decision_variable", "difference_sd", "response_probability", "threshold"]
 
 
 def response_probability(

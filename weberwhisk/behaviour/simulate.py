@@ -31,12 +31,9 @@ from .tasks import Task, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 __all__ = [
-    "SIGNED_OFFSETS",
-    "draw_animals",
-    "simulate_population",
-    "simulate_responses",
+    "SIGNED_OFFSETS", "draw_animals", "simulate_population", "simulate_responses",
     "simulate_trials",
-]
+]  # fmt: skip
 
 ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())

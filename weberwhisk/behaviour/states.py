@@ -34,18 +34,9 @@ from .priors import REACH
 from .trials import Trials, needs_rows, session_block
 
 __all__ = [
-    "STATE_PRIORS",
-    "StateDraws",
-    "StateModel",
-    "StatePosterior",
-    "States",
-    "check_states",
-    "engagement",
-    "state_posterior",
-    "streaks",
-    "target",
-    "with_states",
-]
+    "STATE_PRIORS", "StateDraws", "StateModel", "StatePosterior", "States", "check_states",
+    "engagement", "state_posterior", "streaks", "target", "with_states",
+]  # fmt: skip
 
 _UNIFORM, _SWITCH = stats.beta(1.0, 1.0), stats.beta(1.0, 19.0)
 #: Parameters of two states and of three, and what is believed of them. A state lasts some tens of

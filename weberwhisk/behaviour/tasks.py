@@ -17,15 +17,9 @@ from .._util.values import Array, Fields
 from .encodings import Signals
 
 __all__ = [
-    "TASKS",
-    "PercentCorrect",
-    "SameDifferent",
-    "SignedChoice",
-    "Task",
-    "YesNo",
-    "rises_on_both_sides",
-    "task_named",
-]
+    "TASKS", "PercentCorrect", "SameDifferent", "SignedChoice", "Task", "YesNo",
+    "rises_on_both_sides", "task_named",
+]  # fmt: skip
 
 
 class Task(Fields):

@@ -17,26 +17,10 @@ from .._util.values import Array, Flags, Index, Line
 from .tasks import Task
 
 __all__ = [
-    "LABELS",
-    "SCALES",
-    "SDS",
-    "STIMULI",
-    "Cells",
-    "Trials",
-    "after_gap",
-    "check_trials",
-    "in_millimetres",
-    "in_order",
-    "joined",
-    "needs_order",
-    "needs_rows",
-    "notes_of",
-    "rounded_standards",
-    "rows_in_words",
-    "session_block",
-    "sessions_of",
-    "standards_of",
-]
+    "LABELS", "SCALES", "SDS", "STIMULI", "Cells", "Trials", "after_gap", "check_trials",
+    "in_millimetres", "in_order", "joined", "needs_order", "needs_rows", "notes_of",
+    "rounded_standards", "rows_in_words", "session_block", "sessions_of", "standards_of",
+]  # fmt: skip
 
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")

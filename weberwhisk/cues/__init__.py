@@ -10,8 +10,7 @@ from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, Unk
 from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [
-    "AngleSideAngle", "BalanceOfMoments", "ComparativeLength", "Compliance",
-    "ContactAndDetachment", "Cue", "ForceMap", "Friction", "Fused", "SpaceMap",
-    "TwoWhiskers", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness",
-    "Vibration", "VibrissaLength",
+    "AngleSideAngle", "BalanceOfMoments", "ComparativeLength", "Compliance", "ContactAndDetachment",
+    "Cue", "ForceMap", "Friction", "Fused", "SpaceMap", "TwoWhiskers", "UnknownCurvature",
+    "UnknownHinge", "UnknownRoll", "UnknownStiffness", "Vibration", "VibrissaLength",
 ]  # fmt: skip

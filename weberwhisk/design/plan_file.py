@@ -33,13 +33,8 @@ if TYPE_CHECKING:
     from cattrs import Converter
 
 __all__ = [
-    "assumptions",
-    "offsets_in_words",
-    "plan_json",
-    "plan_of",
-    "preregistration",
-    "read_plan",
-]
+    "assumptions", "offsets_in_words", "plan_json", "plan_of", "preregistration", "read_plan",
+]  # fmt: skip
 
 #: What may stand where a field is annotated with a protocol.
 CHOICES: dict[type, tuple[type, ...]] = {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util.checks import angle, finite, one_of, positive
+from .._util.checks import angle, distance, finite, one_of, positive
 from .._util.values import Array, Flags, member
 from ..whisker import Whisker
 from . import closed_form, elastica
@@ -306,7 +306,7 @@ def _scene(
 ) -> tuple[Array, Array, Array, Array]:
     """The arguments of `press`, checked."""
     return (
-        positive("radial_distance", radial_distance, _METRES),
+        distance("radial_distance", radial_distance, _METRES),
         angle("deflection_angle", deflection_angle, _RADIANS),
         friction(friction_angle),
         finite("roll", roll, _NO_ROLL),

@@ -18,26 +18,9 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ticker import LogLocator, NullFormatter
 
 __all__ = [
-    "COLOURS",
-    "DOUBLE",
-    "LINES",
-    "MARKERS",
-    "SINGLE",
-    "SMALL",
-    "axes_or_new",
-    "bars",
-    "drawable",
-    "errors",
-    "figure_of",
-    "legend_above",
-    "legend_over",
-    "log_numbers",
-    "look",
-    "mark",
-    "new_figure",
-    "open_figure",
-    "shown",
-    "styled",
+    "COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "SMALL", "axes_or_new", "bars", "drawable",
+    "errors", "figure_of", "legend_above", "legend_over", "log_numbers", "look", "mark",
+    "new_figure", "open_figure", "shown", "styled",
 ]  # fmt: skip
 
 #: Okabe and Ito's colours, dark ones first.

@@ -19,13 +19,7 @@ from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed
 from .blocks import ChoiceNodes
 
-__all__ = [
-    "PosteriorGrid",
-    "density_of",
-    "half_grid_error",
-    "integrate",
-    "log_marginal",
-]
+__all__ = ["PosteriorGrid", "density_of", "half_grid_error", "integrate", "log_marginal"]
 
 SHIFT = 0.03  # sds by which half the nodes may move a quantile of k: for a kink a third is left
 

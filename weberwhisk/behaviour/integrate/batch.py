@@ -28,14 +28,7 @@ from ..axes import (
 from ..likelihood import WeberModel
 from .blocks import NOTHING, ChoiceNodes
 
-__all__ = [
-    "log_sum",
-    "marginal",
-    "of_fraction",
-    "outer_prior",
-    "over_fractions",
-    "zoomed",
-]
+__all__ = ["log_sum", "marginal", "of_fraction", "outer_prior", "over_fractions", "zoomed"]
 
 Single = NDArray[np.float32]
 

@@ -22,10 +22,7 @@ from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score
 from ..likelihood import WeberModel
 from ..priors import TINY
 
-__all__ = [
-    "NOTHING",
-    "ChoiceNodes",
-]
+__all__ = ["NOTHING", "ChoiceNodes"]
 
 Values = NDArray[Any]
 
