@@ -336,21 +336,6 @@ def test_map_is_the_top_of_the_density() -> None:
     assert found["bias"] == pytest.approx(top[1], abs=1e-3)
 
 
-def test_hdi_is_the_shortest_interval(fit: WeberFit) -> None:
-    for name in fit.parameters:
-        low, high = fit.interval(0.9, name, kind="hdi")
-        draws = fit.posterior.draws().named(fit.model)[name]
-        inside = np.mean((draws >= low) & (draws <= high))
-        assert inside == pytest.approx(0.9, abs=4.5 * np.sqrt(0.09 / draws.size))
-        for tail in (0.01, 0.03, 0.05, 0.07, 0.09):
-            other = fit.posterior.quantile(name, [tail, tail + 0.9])
-            assert high - low <= (other[1] - other[0]) * (1 + 1e-9)
-    # A lapse is likeliest at none.
-    assert fit.interval(0.9, "lapse_low", kind="hdi")[0] < 1e-6
-    with pytest.raises(ValueError, match="kind 'shortest' is unknown"):
-        fit.interval(kind="shortest")
-
-
 def test_lapse_sensitivity_is_what_the_other_priors_give() -> None:
     trials = simulate_trials(trials_per_level=40, lapse_low=0.05, lapse_high=0.05, seed=19)
     one = fit_weber(trials)

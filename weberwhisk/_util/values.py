@@ -123,22 +123,8 @@ def in_short(value: Any) -> str:
 class Value(Fields):
     """Base of frozen dataclasses (``eq=False, repr=False``) whose fields may be arrays.
 
-    One that takes more than it holds, a list for an array, has an ``__init__`` of its own.
-
     Two of one type with equal fields are equal and have one hash, so that what is worked out for
     one is found again by the other; fields cannot be changed, nor can arrays among them.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> @dataclass(frozen=True, eq=False, repr=False)
-    ... class Place(Value):
-    ...     at: Any
-    ...     size: float = 1.0
-    ...     def __post_init__(self):
-    ...         self._set(at=np.asarray(self.at, dtype=float))
-    >>> Place([1, 2]), Place([1, 2]) == Place([1.0, 2.0]), Place(1) == Place(2)
-    (Place([1, 2]), True, False)
     """
 
     _known_key: tuple[Any, ...]
@@ -323,18 +309,7 @@ def counted(number: int, thing: str) -> str:
 
 
 def paragraphs(parts: Mapping[str, Sequence[str]], width: int | None = None) -> str:
-    """A report: a paragraph for each heading, its sentences one a line, or wrapped to a width.
-
-    Examples
-    --------
-    >>> print(paragraphs({"Data": ["9 trials."], "Next": ["More trials.", "Easier ones."]}))
-    Data. 9 trials.
-    <BLANKLINE>
-    Next.
-    More trials.
-    Easier ones.
-    <BLANKLINE>
-    """
+    """A report: a paragraph for each heading, its sentences one a line, or wrapped to a width."""
     found = []
     for heading, sentences in parts.items():
         if width is None:

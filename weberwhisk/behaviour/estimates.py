@@ -81,13 +81,9 @@ class Estimates(Shown):
         return []
 
     def interval(
-        self,
-        mass: float = 0.95,
-        parameter: str = "weber_fraction",
-        *,
-        kind: str = "equal-tailed",
+        self, mass: float = 0.95, parameter: str = "weber_fraction"
     ) -> tuple[float, float]:
-        """Posterior interval of a parameter.
+        """Equal-tailed posterior interval of a parameter.
 
         Parameters
         ----------
@@ -95,18 +91,11 @@ class Estimates(Shown):
             Its posterior probability.
         parameter : str
             One of `parameters`; a Weber fraction that was given is both ends.
-        kind : {"equal-tailed", "hdi"}
-            As much left out on either side, or the shortest (highest density).
         """
         if parameter != "weber_fraction":
             checks.one_of("parameter", parameter, self.parameters)
-        checks.one_of("kind", kind, ("equal-tailed", "hdi"))
-        below = np.array(tails(mass)[:1])
-        if kind == "hdi":
-            below = np.linspace(0, 1, 2001) * 2 * below
-        low, high = (self.posterior.quantile(parameter, p) for p in (below, below + mass))
-        at = int(np.argmin(high - low))
-        return float(low[at]), float(high[at])
+        low, high = self.posterior.quantile(parameter, np.array(tails(mass)))
+        return float(low), float(high)
 
     @cached_property
     def map(self) -> dict[str, float]:
@@ -116,13 +105,12 @@ class Estimates(Shown):
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
         """One row a parameter: mean, sd, median, MAP, intervals, prior.
 
-        `lower` and `upper` leave out as much on either side; `hdi_lower` and `hdi_upper` bound the
+        `lower` and `upper` leave out as much on either side; ``arviz.hdi(fit.to_arviz())`` has the
         shortest interval.
         """
         rows = []
         for name in self.parameters:
             low, high = self.interval(mass, name)
-            shortest = self.interval(mass, name, kind="hdi")
             rows.append(
                 {
                     "mean": self.posterior.mean(name),
@@ -130,8 +118,6 @@ class Estimates(Shown):
                     "median": float(self.posterior.quantile(name, 0.5)),
                     "lower": low,
                     "upper": high,
-                    "hdi_lower": shortest[0],
-                    "hdi_upper": shortest[1],
                     "map": self.map[name],
                     "mass": mass,
                     "prior": self.model.priors.words(name),

@@ -269,22 +269,10 @@ def levels_prior(
 ) -> Any:
     """The belief that the levels shown bracket the thresholds: a log-logistic prior of k.
 
-    Its median is the Weber fraction for which the two signals of the easiest pair shown lie 1.5 sds
-    (`easiest`) of their difference apart, with a factor of 1.6 either way as one sd (`spread`, of
-    ln k): from 0.6 to 3.8 sds in 95 %, so that but for lapses and bias 72 to 99.99 % of the answers
-    to that pair are right. Of several animals, an entry of `shown` each, it is the geometric mean;
-    of yes/no tasks the difference is that of one noisy signal from its criterion. With it lapses
-    are believed to be Beta(0.5, 9.5) unless something else is said of them. Over a stated
-    population of animals and designs the RMSE of ln k is 0.23 (held out 0.21), and 0.28 (0.23) by
-    default; `analyses/lapse_prior.md` has other medians, spreads and lapses.
-
-    It assumes that the experimenter chose the levels knowing the animal. It must not be used
-
-    - to compare designs, or animals that were shown different levels: the belief moves with them;
-    - with data collected in stages whose levels changed: the same trials fitted at once and one
-      after another then disagree;
-    - with a staircase: its easiest pair is where it began, and k comes out 20 to 60 % too high;
-    - where levels may have been chosen badly: k comes out nearer to them than the answers say.
+    Its median is the Weber fraction at which the signals of the easiest pair shown are 1.5 sds
+    (`easiest`) of their difference apart, with 0.46 as the sd of ln k (`spread`). Lapses are then
+    Beta(0.5, 9.5) unless stated. `analyses/lapse_prior.md` says what it gains, and why it must not
+    be used for staircases, for levels chosen badly, or to compare designs.
 
     Examples
     --------

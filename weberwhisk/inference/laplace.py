@@ -45,15 +45,6 @@ class Mode:
     log_density: Array
     covariance: Array
 
-    def root(self, *, widen: float = 1.0, widest: float = 2.0) -> Array:
-        """A square root of each covariance, (B, U, U), no wider than `widest`.
-
-        On a ridge the curvature knows no bound; the prior's width in x is a few units.
-        """
-        root = widen * np.linalg.cholesky(self.covariance)
-        length = np.linalg.norm(root, axis=(1, 2))
-        return np.asarray(root * np.minimum(1.0, widest / length)[:, None, None])
-
 
 def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -> Mode:
     """The highest points of the posteriors of readings (B, S), or those above starts (B, U).
