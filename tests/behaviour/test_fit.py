@@ -277,7 +277,8 @@ def test_misfit_is_found_and_the_remedy_named() -> None:
     trials = simulate_trials(standards=[1.0, 2.0], bias=[1.2, -1.2], trials_per_level=50, seed=16)
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))
     assert shared.misfit < 0.001
-    assert 'Try bias="per standard"' in shared.report()
+    assert shared.status is FitStatus.MISFIT_CURVE
+    assert 'first fit_weber(trials, bias="per standard")' in shared.report()
     assert own.misfit > 0.01
     assert own.log_evidence is not None
     assert shared.log_evidence is not None
@@ -639,7 +640,19 @@ def test_the_rat_needs_a_bias_per_standard() -> None:
     assert own.misfit > 0.05
     # k alone misreads the animal by a factor of more than two.
     assert shared.weber_fraction > 2 * own.weber_fraction
-    assert own.status is FitStatus.DETERMINED
+
+
+def test_the_rat_is_not_always_engaged() -> None:
+    trials = load_rat_auditory(range(31, 36))
+    one, three = (fit_weber(trials, bias="per standard", states=n) for n in (1, 3))
+    assert one.status is FitStatus.MISFIT_STREAKS
+    assert "fit_weber(trials, states=3)" in one.report()
+    assert one.log_evidence is not None
+    assert three.log_evidence is not None
+    assert three.log_evidence > one.log_evidence + 10
+    # States leave what wins and losses do.
+    assert three.status is FitStatus.MISFIT_HISTORY
+    assert "WinStay()" in three.report()
 
 
 def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:

@@ -20,11 +20,12 @@ from .._util.checks import generator, one_of
 from .._util.values import Array, Index
 from .estimates import Estimates, check_fit, compared
 from .likelihood import gather
+from .states import streaks
 from .trials import STIMULI, in_order
 
 __all__ = ["Answers", "checks", "quantile_residuals", "residuals_by"]
 
-SIGNED = ("trend", "repetition")  # checks that may be off on either side
+SIGNED = ("trend", "repetition", "outcome")  # checks that may be off on either side
 
 
 def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
@@ -104,19 +105,23 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
     -------
     DataFrame
         Index `check`; `observed`, `expected` (mean over replicated data), `p` (the share of
-        replicated data with as great a value, or as far from zero for the last two; small where
-        the data have too much of it), and `remedy`. Checks: `levels`: squared residuals over
+        replicated data with as great a value, or as far from zero for those that have a sign; small
+        where the data have too much of it), and `remedy`. Checks: `levels`: squared residuals over
         pairs of stimuli. `overdispersion`: the intraclass correlation of the answers to one pair
         in one session. `sessions`: squared residuals of whole sessions. `trend`: correlation of
         residuals with the course of trials. `repetition`: correlation of a residual with the one
-        before. The last two need a row a trial, in order, `sessions` two sessions or more.
+        before; `outcome`: with the side that was right on the trial before, as when wins stay and
+        losses shift. `streaks`: the log Bayes factor of two or three states (each as likely) over
+        one, and as `p` one over the Bayes factor, which no observer in one state exceeds more often
+        (Markov's inequality). `sessions` needs two sessions or more, those from `trend` on a row a
+        trial, in order, and `outcome` and `streaks` the choice of a stimulus.
 
     Examples
     --------
     >>> from weberwhisk import fit_weber, simulate_trials
     >>> table = checks(fit_weber(simulate_trials(sessions=4, seed=1)))
     >>> table.index.tolist()
-    ['levels', 'overdispersion', 'sessions', 'trend', 'repetition']
+    ['levels', 'overdispersion', 'sessions', 'trend', 'repetition', 'outcome', 'streaks']
     >>> bool((table["p"] > 0.001).all())
     True
     """
@@ -125,7 +130,7 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
     rng = generator(seed)
-    statistics = rows.statistics()
+    statistics = rows.statistics(fit.model.task.bias_name == "bias")
     # (seen, made) of every statistic; few draws at a time where there are many rows.
     values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
     stride = max(2_000_000 // rows.n.size, 1)  # numbers that are in memory together
@@ -141,6 +146,8 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
         seen, made = (np.concatenate(parts) for parts in zip(*values[name], strict=True))
         greater = np.abs(made) >= np.abs(seen) if name in SIGNED else made >= seen
         out[name] = seen.mean(), made.mean(), float(np.mean(greater)), remedy
+    if (factor := _streaks(fit, rng)) is not None:
+        out["streaks"] = factor, 0.0, float(np.exp(-max(factor, 0.0))), "states=3"
     columns = ["observed", "expected", "p", "remedy"]
     return pd.DataFrame.from_dict(out, "index", columns=columns).rename_axis("check")
 
@@ -171,8 +178,9 @@ class Answers:
         sums = groups[["n", "count"]].sum().reset_index().drop(columns="cell")
         return sums, groups.ngroup().to_numpy().astype(np.intp)
 
-    def statistics(self) -> dict[str, tuple[Callable[[Array, Array], Array], str]]:
-        """Statistics of residuals (D, R) and their variances, each with a remedy."""
+    def statistics(self, is_choice: bool) -> dict[str, tuple[Callable[[Array, Array], Array], str]]:
+        """Statistics of residuals (D, R) and their variances, each with a remedy; of the choice of
+        a stimulus one more."""
         pairs = _codes(self.cell)
         sessions = _codes(self.frame["session"].to_numpy()) if "session" in self.frame else None
         both = pairs if sessions is None else _codes(pairs * (sessions.max() + 1) + sessions)
@@ -207,7 +215,25 @@ class Answers:
                 return np.asarray((z[:, 1:] * z[:, :-1])[:, follows].mean(axis=1))
 
             out["repetition"] = repeated, "the effect History"
+            s1, s2 = (self.frame[name].to_numpy(float) for name in STIMULI[1:])
+            right = (np.sign(s2 - s1)[:-1] * follows) / max(follows.sum(), 1)
+            if is_choice and right.any():
+                out["outcome"] = (
+                    lambda off, spread: (off / np.sqrt(spread))[:, 1:] @ right,
+                    "the effect WinStay",
+                )
         return out
+
+
+def _streaks(fit: Estimates, rng: np.random.Generator) -> float | None:
+    """The log Bayes factor of states over one; None where there can be no states."""
+    model, trials = fit.model, fit.trials
+    single = (trials.frame["n"] == 1).all() and in_order(trials.frame)
+    if not single or model.n_states > 1 or not model.task.has_bias or model.dispersed is not None:
+        return None
+    if fit.log_evidence is None:
+        return None
+    return streaks(model, fit.log_evidence, trials, fit.encoding, rng)
 
 
 def _codes(labels: NDArray[Any]) -> Index:

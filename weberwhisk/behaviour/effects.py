@@ -17,13 +17,13 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .._util import checks
-from .._util.values import Array, Fields
+from .._util.values import Array, Fields, pd
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
 
 __all__ = [
-    "EFFECTS", "Contraction", "Drift", "Effect", "Floor", "History", "Overdispersion",
-    "check_effects", "check_valued", "effect_named", "effect_valued",
+    "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Floor", "History", "Overdispersion",
+    "WinStay", "check_effects", "check_valued", "effect_named", "effect_valued",
 ]  # fmt: skip
 
 
@@ -59,6 +59,7 @@ _PRIORS = {
     "overdispersion": stats.beta(1.0, 15.0),
     "contraction": stats.norm(0.0, 0.3),
     "history": stats.norm(0.0, 0.5),
+    "covariate": stats.norm(0.0, 0.5),
 }
 
 
@@ -200,8 +201,101 @@ class History(Effect, Fields):
         return signals._replace(shift=signals.shift + value * column)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class WinStay(Effect, Fields):
+    """A shift towards the stimulus that was right on the trial before; sds of the difference.
+
+    Win-stay, lose-shift: a right answer is repeated and a wrong one changed, so that the next
+    leans to the side that was right. Negative does the opposite. Trials that `History` leaves out
+    have none, nor do trials after two equal stimuli.
+    """
+
+    prior: rv_frozen | float = _PRIORS["history"]
+    name: str = "win_stay"
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        needs_order(trials, "WinStay")
+        needs_rows(trials, "WinStay")
+        frame = trials.frame
+        s1, s2, count = (frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
+        right = np.where(np.isnan(count), 0.0, np.sign(s2 - s1))
+        before = np.r_[0.0, right[:-1]]
+        before[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
+        return before
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Covariate(Effect, Fields):
+    """What another column of the table does: `Covariate("laser")`.
+
+    On the bias it is a shift in sds of the difference, on the Weber fraction a change of ln k. Of a
+    column with two values the first in order (0, False) has none and the second all of it; of more
+    numbers it is by their sd, about their mean. The parameter has the column's name.
+
+    Parameters
+    ----------
+    of : str
+        A column of the table.
+    on : {"bias", "weber_fraction"}
+    prior : frozen SciPy distribution, or number, optional
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(sessions=2, seed=1)
+    >>> fit_weber(trials, effects=[Covariate("session", on="weber_fraction")]).parameters[:2]
+    ('weber_fraction', 'session')
+    """
+
+    of: str
+    on: str = "bias"
+    prior: rv_frozen | float = _PRIORS["covariate"]
+
+    def __post_init__(self) -> None:
+        checks.one_of("on", self.on, ("bias", "weber_fraction"))
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.of
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        checks.one_of("the column of a Covariate", self.of, map(str, trials.frame.columns))
+        if self.on == "bias" and not trials.task.has_bias:
+            raise ValueError(
+                f"{trials.task.name} has no response bias that {self.of!r} could move; write "
+                f"Covariate({self.of!r}, on='weber_fraction')."
+            )
+        values = trials.frame[self.of]
+        if values[trials.answered].isna().any():
+            raise ValueError(
+                f"{trials.source}, column {self.of!r}: empty in a trial with an answer; fill it, "
+                "or remove the trial."
+            )
+        levels = sorted(set(values.dropna()), key=lambda v: (isinstance(v, str), v))
+        if len(levels) == 2:
+            return (values == levels[1]).to_numpy(float)
+        numbers = pd.to_numeric(values, errors="coerce").to_numpy(float)
+        if len(levels) < 2 or not np.isfinite(numbers[trials.answered]).all():
+            raise ValueError(
+                f"{trials.source}, column {self.of!r}: a Covariate has two values or is a number, "
+                f"got {checks.listed(levels)}; choose trials with two, trials.select(...)."
+            )
+        numbers = np.where(np.isfinite(numbers), numbers, np.nanmean(numbers))
+        return np.asarray((numbers - numbers.mean()) / numbers.std())
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        if self.on == "bias":
+            return signals._replace(shift=signals.shift + value * column)
+        factor = np.exp(value * column)
+        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
+
+
 EFFECTS: dict[str, Effect] = {
-    effect.name: effect for effect in (Floor(), Contraction(), History(), Drift(), Overdispersion())
+    effect.name: effect
+    for effect in (Floor(), Contraction(), History(), WinStay(), Drift(), Overdispersion())
 }
 
 
@@ -244,6 +338,8 @@ def check_valued(effects: Any) -> None:
 def effect_named(name: str) -> Effect:
     """An effect by its name, with the prior that it brings.
 
+    `covariate:laser` is that of a column on the bias, `covariate:laser:weber_fraction` on k.
+
     Raises
     ------
     ValueError
@@ -254,6 +350,12 @@ def effect_named(name: str) -> Effect:
     >>> effect_named("drift").prior.std()
     np.float64(0.5)
     """
+    kind, _, column = name.partition(":")
+    if kind == "covariate":
+        if not column:
+            raise ValueError("covariate names no column; write covariate:laser, say.")
+        of, _, on = column.partition(":")
+        return Covariate(of, on or "bias")
     return EFFECTS[checks.one_of("effect", name, EFFECTS)]
 
 

@@ -39,8 +39,21 @@ class Estimates(Shown):
     bias: str
     method: str
     posterior: WeberPosterior = field(repr=False)
-    status: FitStatus
-    notes: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> FitStatus:
+        """What the fit is worth: by far the worst of what was found, or that all is well."""
+        return self._judged[0]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know besides, a sentence each."""
+        return self._judged[1]
+
+    @property
+    def _judged(self) -> tuple[FitStatus, tuple[str, ...]]:
+        """Status and notes; the fit has them, since the checks look at its estimates."""
+        raise NotImplementedError
 
     @property
     def weber_fraction(self) -> float:

@@ -21,6 +21,7 @@ from .importance import Target
 from .integrate import integrate
 from .likelihood import build_model
 from .located import at_touches
+from .misfit import judged
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
 from .states import (
     STATE_PRIORS,
@@ -31,7 +32,7 @@ from .states import (
     with_states,
 )
 from .trials import Trials
-from .verdict import verdict
+from .verdict import FitStatus
 
 __all__ = ["StateFit", "WeberFit", "fit_weber"]
 
@@ -56,6 +57,11 @@ class WeberFit(Estimates):
     >>> fit.threshold(standard=2.0, proportion=0.75).columns.tolist()[:5]
     ['standard', 'criterion', 'comparison', 'lower', 'upper']
     """
+
+    @cached_property
+    def _judged(self) -> tuple[FitStatus, tuple[str, ...]]:
+        """When first asked for: the checks take as long as the fit."""
+        return judged(self)
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
@@ -216,10 +222,7 @@ def fit_weber(
             )
         chain = with_states(model, trials, encoded, states)
         found = state_posterior(chain, rng)
-        status, notes = verdict(chain, found)
-        return StateFit(
-            trials, chain, encoded, noise, chosen, used, found, status, (*trials.notes, *notes)
-        )
+        return StateFit(trials, chain, encoded, noise, chosen, used, found)
     fewer = model.merged()
     posterior: WeberPosterior
     if used == "emcee":
@@ -228,7 +231,4 @@ def fit_weber(
         posterior = Target(fewer).posterior(rng)
     else:
         posterior = QuadraturePosterior(fewer, integrate(fewer), int(rng.integers(2**63)))
-    status, notes = verdict(model, posterior)
-    return WeberFit(
-        trials, model, encoded, noise, chosen, used, posterior, status, (*trials.notes, *notes)
-    )
+    return WeberFit(trials, model, encoded, noise, chosen, used, posterior)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -87,6 +88,8 @@ def read_trials(
     -------
     Trials
         Rows without an answer are kept, counted in `n_missing`, and stay out of the likelihood.
+        Further columns are kept for `select`, `residuals_by` and the effect `Covariate`; one that
+        looks like subjects or sessions and was not mapped is named in `notes`.
 
     Raises
     ------
@@ -170,7 +173,35 @@ def read_trials(
     frame = pd.DataFrame(labels | shown | {"n": n.astype(np.int64), "count": count} | sds)
     chosen = named or task_named(ANSWERS[answer])
     rows = table.index.to_numpy()
-    return Trials(frame, chosen, scale, log_unit, name, notes_of(frame, rows), rows)
+    used = {*frame, *(mapped | lengths).values(), *stimuli, *ANSWERS, "count"}
+    further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
+    notes = (*notes_of(frame, rows), *_pooled(further, {*frame}))
+    frame = pd.concat([frame, further], axis=1)
+    return Trials(frame, chosen, scale, log_unit, name, notes, rows)
+
+
+#: What columns of subjects and of sessions are often called.
+LOOKS_LIKE = {
+    "subject": ("subject", "subj", "animal", "rat", "mouse", "participant", "observer"),
+    "session": ("session", "sess", "day", "date", "block", "run"),
+}
+
+
+def _pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
+    """Sentences on columns that look like subjects or sessions, where there are none of that name:
+    their trials are taken as one."""
+    notes = []
+    for ours, names in LOOKS_LIKE.items():
+        for column in further if ours not in known else ():
+            words = re.split(r"[^a-z]+", str(column).lower())
+            values = further[column].nunique()
+            if set(words).intersection(names) and 1 < values <= len(further) / 2:
+                notes.append(
+                    f"The column {str(column)!r} has {values} values and is not used, so that all "
+                    f"trials are taken for one {ours}; columns={{{ours!r}: {str(column)!r}}} would "
+                    "keep them apart."
+                )
+    return notes
 
 
 def _choose_columns(

@@ -10,9 +10,9 @@ from .._util.arviz_io import ArvizData
 from .._util.arviz_io import to_arviz as convert
 from .._util.output import plain
 from .._util.values import Array, counted, paragraphs
-from .criticism import checks
 from .estimates import Estimates
 from .likelihood import Draws
+from .misfit import advice as next_fit
 from .posteriors import prior_draws
 from .verdict import FitStatus, too_few_kinds
 
@@ -72,29 +72,16 @@ def _answer(fit: Estimates) -> list[str]:
     return lines
 
 
-def _limits(fit: Estimates, least_p: float = 0.01) -> list[str]:
-    """What the data cannot say; the curve misses them below that posterior-predictive p."""
+def _limits(fit: Estimates) -> list[str]:
+    """What the data cannot say."""
     lines = [*fit.notes]
     if fit.unit:
         lines.append(
             "The unit of the logarithm is unknown, so the Weber fraction is counted per unit of "
             "the column, in the form that holds for small steps; log_unit= would make it a ratio."
         )
-    if fit.misfit < least_p:
-        worst = fit.residuals().sort_values("z", key=np.abs).iloc[-1]
-        lines.append(
-            f"The curve misses the data (posterior-predictive p = {fit.misfit:.2g}), most at "
-            f"{worst['stimulus_1']:.4g} against {worst['stimulus_2']:.4g}: "
-            f"{worst['observed']:.2f} seen, {worst['expected']:.2f} expected. "
-            f"The interval above takes the model for granted and is too narrow.{_remedy(fit)}"
-        )
-    table = checks(fit).drop(index="levels", errors="ignore")  # that is the misfit
-    lines += [
-        f"The data show what a stationary observer does not ({name}, posterior-predictive "
-        f"p = {row['p']:.2g}); try {row['remedy']}."
-        for name, row in table[table["p"] < least_p].iterrows()
-    ]
-    if fit.status.ok and (change := fit.lapse_sensitivity["change"]).abs().max() >= 0.05:
+    sensitive = fit.status.ok or fit.status is FitStatus.PRIOR_DEPENDENT
+    if sensitive and (change := fit.lapse_sensitivity["change"]).abs().max() >= 0.05:
         lines.append(
             "What is believed about lapses moves the Weber fraction: by "
             f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
@@ -108,15 +95,9 @@ def _limits(fit: Estimates, least_p: float = 0.01) -> list[str]:
     return lines or ["Nothing in the table speaks against the model."]
 
 
-def _remedy(fit: Estimates) -> str:
-    if fit.model.task.has_bias and fit.bias != "per standard" and fit.standards.size > 1:
-        return ' Try bias="per standard".'
-    if len(fit.trials.sessions) > 1:
-        return " Try fewer sessions: the animal may have changed."
-    return ""
-
-
 def _next(fit: Estimates) -> str:
+    if (said := next_fit(fit)) is not None:
+        return said
     advice = {
         FitStatus.NO_TRIALS: "Trials with an answer.",
         FitStatus.REVERSED: "Nothing yet: first check which answer means which stimulus, and "

@@ -401,18 +401,22 @@ def state_posterior(model: StateModel, rng: np.random.Generator) -> StatePosteri
 
 
 def streaks(
-    model: WeberModel, log_evidence: float, trials: Trials, encoding: Encoding, rng: Any
-) -> dict[int, float]:
-    """Log Bayes factor of two and of three states over one, whose evidence is given.
+    model: WeberModel,
+    log_evidence: float,
+    trials: Trials,
+    encoding: Encoding,
+    rng: np.random.Generator,
+) -> float:
+    """Log Bayes factor of two or three states, each as likely, over one of that evidence.
 
-    The evidence is that of a few hundred draws, right to a tenth of a nat.
+    It is that of a few hundred draws, right to a tenth of a nat.
     """
-    out = {}
+    found = []
     for n_states in STATE_PRIORS:
-        found = target(with_states(model, trials, encoding, n_states))
-        rough = weighted_draws(found.log_density, *found.start, rng, wanted=200, size=500)
-        out[n_states] = rough.log_evidence - log_evidence
-    return out
+        over = target(with_states(model, trials, encoding, n_states))
+        rough = weighted_draws(over.log_density, *over.start, rng, wanted=200, size=500)
+        found.append(rough.log_evidence - log_evidence)
+    return float(logsumexp(found) - np.log(len(found)))
 
 
 def engagement(model: StateModel, draws: Draws, seed: int) -> tuple[Array, Array]:

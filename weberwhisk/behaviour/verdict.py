@@ -39,6 +39,25 @@ class FitStatus(Enum):
         "fraction below means nothing"
     )
     NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
+    MISFIT_STREAKS = (
+        "an animal in one state does not give these answers, which come in streaks: the Weber "
+        "fraction below is that of a model that does not hold"
+    )
+    MISFIT_HISTORY = (
+        "the answers depend on the trial before: the Weber fraction below is that of a model that "
+        "does not hold"
+    )
+    MISFIT_CURVE = (
+        "the curve misses the choices: the Weber fraction below is that of a model that does not "
+        "hold"
+    )
+    MISFIT_DRIFT = (
+        "the animal changes in the course of the trials: the Weber fraction below is that of a "
+        "model that does not hold"
+    )
+    MISFIT_OVERDISPERSION = (
+        "answers to the same stimuli scatter more than chance: the interval below is too narrow"
+    )
     UNINFORMED = "the data say next to nothing about the Weber fraction: the posterior is the prior"
     UPPER_BOUND = (
         "the data only bound the Weber fraction from above: the lower end of the interval is the "
@@ -47,6 +66,10 @@ class FitStatus(Enum):
     LOWER_BOUND = (
         "the data only bound the Weber fraction from below: the upper end of the interval is the "
         "prior's"
+    )
+    PRIOR_DEPENDENT = (
+        "the Weber fraction depends on what is believed beforehand, of lapses above all: the "
+        "answers alone do not determine it"
     )
     GIVEN = "the Weber fraction was given, not fitted"
     DETERMINED = "the data determine the Weber fraction, at both ends of its interval"
@@ -159,7 +182,8 @@ def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
     # Effects do not turn answers round: the plain observer decides.
     plain = model.plain().merged()
     exchanged = replace(plain, cells=replace(plain.cells, count=plain.cells.n - plain.cells.count))
-    as_they_are = posterior.log_evidence if not model.effects else None
+    plainly = not model.effects and model.n_states == 1
+    as_they_are = posterior.log_evidence if plainly else None
     if as_they_are is None:
         as_they_are = integrate(plain).log_evidence
     return integrate(exchanged).log_evidence - as_they_are > np.log(100.0)
@@ -196,10 +220,11 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     Lapses and a poor Weber fraction explain the same errors, so the belief about lapses moves k, by
     less the more easy trials there are. Rows `lapses`: "as fitted", "never", "seldom" (Beta(1, 20))
     and "often" (Beta(1, 9)), the first alone where the Weber fraction is fixed, the task has no
-    free lapse, or emcee was needed; `change` is relative to the fit.
+    free lapse, or there is no grid; `log_bayes_factor` is that of each belief against the fit's,
+    and `change` is relative to the fit.
     """
     own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
-    rows = [("as fitted", *own)]
+    rows = [("as fitted", *own, 0.0)]
     free = [n for n in model.task.lapses if n in model.names]
     if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
         for words, belief in BELIEFS.items():
@@ -207,8 +232,11 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
             priors = replace(model.priors, **changed)
             other = replace(model, priors=priors).merged()
             grid = QuadraturePosterior(other, integrate(other), 0)
-            rows.append((words, *grid.quantile("weber_fraction", [0.5, 0.025, 0.975])))
-    table = pd.DataFrame(rows, columns=["lapses", "weber_fraction", "lower", "upper"])
+            quantiles = grid.quantile("weber_fraction", [0.5, 0.025, 0.975])
+            factor = grid.grid.log_evidence - posterior.grid.log_evidence
+            rows.append((words, *quantiles, factor))
+    columns = ["lapses", "weber_fraction", "lower", "upper", "log_bayes_factor"]
+    table = pd.DataFrame(rows, columns=columns)
     table["change"] = table["weber_fraction"] / own[0] - 1
     return table
 

@@ -55,8 +55,8 @@ def fit(
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
         opt.Texts,
-        "What else moves the answers: floor, contraction, history, drift, overdispersion; may be "
-        "repeated.",
+        "What else moves the answers: floor, contraction, history, win_stay, drift, "
+        "overdispersion; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     lapse_prior: Annotated[
