@@ -20,7 +20,8 @@ from weberwhisk.cues import (
     Vibration,
 )
 from weberwhisk.inference import default_noise, tree
-from weberwhisk.inference.quadrature import TOLERANCE, sums_of
+from weberwhisk.inference.methods import sums_of
+from weberwhisk.inference.tree import TOLERANCE
 from weberwhisk.sensitivity import prior_draws
 
 #: Contacts so many nats below the highest density must have a cell.

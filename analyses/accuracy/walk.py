@@ -17,8 +17,7 @@ from matplotlib.collections import PolyCollection
 
 import weberwhisk as ww
 from weberwhisk import plots
-from weberwhisk.inference.quadrature import TOLERANCE
-from weberwhisk.inference.tree import DROP, Tree
+from weberwhisk.inference.tree import DROP, TOLERANCE, Tree
 
 FIGURE = Path(__file__).parent.parent / "figures" / "walk.png"
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])

@@ -17,8 +17,8 @@ from ..receptors import Seed
 from .coordinates import FARTHEST
 from .laplace import climb, density_at, is_divided
 from .observer import Observer
-from .quadrature import quadrature
 from .result import Estimate, Solution, Status, is_improbable, is_unidentified, refuse_impossible
+from .tree import TOLERANCE, tree_of
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
 #: posterior that has not converged is called so: one unknown, and more.
@@ -33,10 +33,6 @@ def sample(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     """Posteriors of readings (B, R), so many in one run."""
-    if observer.noise.is_categorical:  # few things can happen: each is sampled once
-        each, back = np.unique(reading, axis=0, return_inverse=True)
-        if len(each) < len(reading):
-            return sample(observer, each, seed, tolerance, progress).of(back.reshape(-1))
     several = int(len(observer.unknowns) > 1)
     rng = np.random.default_rng(seed)
     runs, modes = [], []
@@ -91,9 +87,9 @@ def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> Fla
     """
     missing = is_divided(observer, reading)
     if missing.any():
-        exact = quadrature(observer, reading[missing], None, None, None).estimates[0]
+        exact = tree_of(observer, TOLERANCE).sums(reading[missing])
         mean, sd, *errors = (column[missing] for column in sampled)
-        off = np.abs([exact.mean - mean, exact.sd - sd])
+        off = np.abs([exact.mean[:, 0] - mean, exact.sd[:, 0] - sd])
         missing[missing] = (off > 4 * np.array(errors)).any(axis=0)
     return missing
 

@@ -25,7 +25,7 @@ from .result import (
     is_unidentified,
     refuse_impossible,
 )
-from .tree import tree_of
+from .tree import TOLERANCE, tree_of
 from .weighted import interpolate
 
 
@@ -64,7 +64,7 @@ def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -
 def _starting_points(observer: Observer, reading: Array) -> Array:
     """Where `find_mode` starts, (B, U)."""
     if len(observer.unknowns) == 1:
-        found = tree_of(observer, 2e-3).sums(reading)
+        found = tree_of(observer, TOLERANCE).sums(reading)
         refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
         return observer.coordinates(found.best)
     places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
@@ -279,7 +279,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     y = observer.checked_reading(reading)
     rows = y.reshape(-1, y.shape[-1])
     # Down to a billionth of a billionth of the highest density.
-    found = tree_of(observer, 2e-3).sums(rows, drop=41.0)
+    found = tree_of(observer, TOLERANCE).sums(rows, drop=41.0)
     counts = np.zeros(len(rows), dtype=int)
     for at, start, step, log in found.marginals():
         # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.

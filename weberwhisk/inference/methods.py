@@ -1,8 +1,10 @@
-"""Posteriors of a contact: quadrature, emcee and Laplace, from one `Observer`."""
+"""Posteriors of a contact by quadrature, the reference, by emcee, or by Laplace's Gaussian."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise, product
 from typing import Any
 from warnings import warn
 
@@ -11,15 +13,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util.checks import kind, one_of, positive_number
-from .._util.values import Array, Flags, member
+from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
 from .coordinates import is_all_around
-from .laplace import laplace
+from .laplace import find_mode, laplace
+from .layers import LayeredSums, Layers
 from .observer import Observer
-from .quadrature import quadrature
-from .result import Estimate, Posterior, Solution, Status, beyond_reach
+from .result import (
+    Estimate,
+    Posterior,
+    Solution,
+    Status,
+    beyond_reach,
+    is_improbable,
+    is_unidentified,
+    refuse_impossible,
+)
+from .tree import DROP, TOLERANCE, tree_of
+from .weighted import Spans, Sums, extrapolated
 
-__all__ = ["Estimate", "Posterior", "Status", "posterior"]
+__all__ = ["Estimate", "Posterior", "Status", "pieces_of", "posterior", "sums_of"]
+
+#: Readings that are solved together, for progress and memory.
+TOGETHER = 2048
 
 
 def posterior(
@@ -79,22 +95,21 @@ def posterior(
     y = observer.checked_reading(reading, missing=True)
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
-    solve = _solver(method)
-
     given = np.isfinite(rows).all(axis=1)
-    nothing = _of_no_contact(observer, rows)
-    known = np.asarray(given & ~nothing)
-    if not known.any():
-        solution = _of_nothing(len(observer.unknowns))
-    else:
-        solution = solve(observer, rows[known], seed, tolerance, progress)
+    nothing = given & _of_no_contact(observer, rows)
+    known = given & ~nothing
+    asked, row = rows[known], np.full(len(rows), -1)
+    row[known] = np.arange(len(asked))
+    if observer.noise.is_categorical:  # few things can happen: each is solved once
+        asked, back = np.unique(asked, axis=0, return_inverse=True)
+        row[known] = back.reshape(-1)
+    solve = _solver(method) if known.any() else quadrature
+    solution = solve(observer, asked, seed, tolerance, progress).of(row)
+    if method != "quadrature":  # which knows no ends there
         cut = _cut_off(observer, solution) & (solution.status == Status.CONVERGED)
-        cut &= method != "quadrature"  # which knows no ends there
         solution.status[cut] = Status.NOT_CONVERGED if method == "emcee" else Status.NOT_GAUSSIAN
-    _hint_at_units(observer, rows[known], solution)
-    if not known.all():
-        solution = solution.among(known)
-        solution.status[given & nothing] = Status.NO_CONTACT
+    solution.status[nothing] = Status.NO_CONTACT
+    _hint_at_units(observer, rows, solution, int(known.sum()))
     solution.status[_outside(observer, rows, solution)] = Status.OUTSIDE_DOMAIN
 
     def shaped(values: NDArray[Any]) -> Any:
@@ -159,8 +174,8 @@ def _outside(observer: Observer, reading: Array, solution: Solution) -> Flags:
     return np.asarray(outside & (solution.status == Status.CONVERGED))
 
 
-def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> None:
-    """Warn of readings (B, R) so far above what the whisker gives that the unit may be another.
+def _hint_at_units(observer: Observer, reading: Array, solution: Solution, known: int) -> None:
+    """Warn of readings (B, R), of which so many are known, whose unit may be another.
 
     More than half of them are above 30 times what is usual, and explained by no contact, or by one
     within a hundredth of the reach of the base.
@@ -171,23 +186,196 @@ def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> No
     low, high = observer.reach
     at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
     odd = (times > 30).any(axis=1) & (at_base | (solution.status == Status.IMPROBABLE_READING))
-    if odd.sum() * 2 > len(odd):
+    if odd.sum() * 2 > known:
         first = int(np.argmax(odd))
         warn(
-            f"{odd.sum()} of {len(reading)} readings are far above what this whisker gives, the "
+            f"{odd.sum()} of {known} readings are far above what this whisker gives, the "
             f"first {reading[first].tolist()}, {times[first].max():.3g} times the usual; readings "
             "are in SI units (N m, N, rad): did you pass mN?",
             stacklevel=3,
         )
 
 
-def _of_nothing(unknowns: int) -> Solution:
-    """The solution for no reading at all."""
-    none = np.empty(0)
-    return Solution(
-        [Estimate(none, none, none, none)] * unknowns,
-        np.empty(0, dtype=np.int8),
-        none,
-        lambda p, unknown: np.empty((0, len(p))),
-        lambda count, seed: np.empty((0, 4, count, unknowns)),
+# -- by quadrature ---------------------------------------------------------------------------------
+
+
+def sums_of(
+    observer: Observer,
+    readings: Array,
+    covariance: Array | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    drop: float = DROP,
+) -> Sums | LayeredSums | PiecewiseSums:
+    """The posteriors of readings (B, R) as weighted cells.
+
+    With the covariances (B, R, R) of measurement errors, which add to the receptors' noise; cells
+    whose density is `drop` nats below the highest are left out.
+    """
+    pieces = pieces_of(observer)
+    if len(pieces) > 1:
+        parts = [sums_of(p, readings, covariance, tolerance=tolerance, drop=drop) for p in pieces]
+        return PiecewiseSums(observer, parts)
+    if len(observer.unknowns) > observer.inner:
+        layers = Layers(observer, tolerance, observer.inner)
+        return layers.sums(readings, covariance, drop=drop)
+    return tree_of(observer, tolerance).sums(readings, covariance, drop=drop)
+
+
+def quadrature(
+    observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
+) -> Solution:
+    """Posteriors of readings (B, R) by quadrature."""
+    if len(observer.unknowns) > 4:
+        raise ValueError(
+            f"Quadrature sums over four unknowns at most, got {len(observer.unknowns)} "
+            f'({", ".join(observer.unknowns)}); write method="emcee".'
+        )
+    wanted = tolerance or TOLERANCE
+    parts = []
+    for first in range(0, max(len(reading), 1), TOGETHER):
+        some = reading[first : first + TOGETHER]
+        parts.append(sums_of(observer, some, tolerance=wanted))
+        if progress:
+            progress(first + len(some), len(reading))
+    return _solution(observer, reading, parts, wanted)
+
+
+def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: float) -> Solution:
+    mean, sd, error, evidence, best = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("mean", "sd", "error", "log_evidence", "best")
     )
+    refuse_impossible(reading, np.nan_to_num(evidence, nan=-np.inf))
+    status = np.where(error <= wanted, Status.CONVERGED, Status.IMPRECISE)
+    if len(observer.unknowns) > 1:
+        # By the best cell, and where that says so by the mode itself. An error of a third of an sd
+        # is worse news than a ridge.
+        some = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
+        if some.size:
+            mode = find_mode(observer, reading[some], observer.coordinates(best[some])).x
+            some = some[is_unidentified(observer, observer.contact(mode)[0])]
+        status[some] = Status.UNIDENTIFIED
+    outside = is_improbable(observer, reading, best)
+    vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
+    if vague.size:  # whose best cell may be the wrong one
+        mode = find_mode(observer, reading[vague]).x
+        outside[vague] = is_improbable(observer, reading[vague], observer.contact(mode)[0])
+    status[outside] = Status.IMPROBABLE_READING
+    ends = np.cumsum([len(part.error) for part in parts])[:-1]
+
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return np.concatenate([part.quantiles(p, unknown) for part in parts])
+
+    def quantile_error_of(p: Array, unknown: int) -> Array:
+        # A share of the mass that moves the mean by its error may lie on the wrong side; and what
+        # is interpolated between cells and nodes: a third of the most beside the kept truth.
+        rough = 2e-3 if len(observer.unknowns) == observer.inner else 6e-3
+        off = rough + error[:, None] / (4 * p * (1 - p))
+        return np.asarray(sd[:, unknown, None] * off)
+
+    def draws_of(count: int, seed: Seed) -> Array:
+        rng = np.random.default_rng(seed)
+        pairs = zip(parts, np.split(reading, ends), strict=True)
+        out = np.concatenate([part.draws(4 * count, rng, rows) for part, rows in pairs])
+        return out.reshape(len(reading), 4, count, -1)
+
+    estimates = [Estimate(m, s, error * s, error * s) for m, s in zip(mean.T, sd.T, strict=True)]
+    return Solution(
+        estimates, status.astype(np.int8), evidence, quantile_of, draws_of, quantile_error_of
+    )
+
+
+# -- priors that leap ------------------------------------------------------------------------------
+
+
+class _Within:
+    """A distribution between two values, its density as it is."""
+
+    def __init__(self, distribution: Any, low: float, high: float) -> None:
+        self.distribution, self.ends = distribution, (low, high)
+        for name in ("pdf", "logpdf", "cdf", "sf", "ppf", "isf", "median", "mean", "std"):
+            if hasattr(distribution, name):
+                setattr(self, name, getattr(distribution, name))
+
+    def support(self) -> tuple[float, float]:
+        return self.ends
+
+
+def pieces_of(observer: Observer) -> list[Observer]:
+    """Observers between the values at which priors of distance and angle leap; mostly itself.
+
+    Between them densities are smooth, as the trapezoidal rule has them; the coordinates of each
+    piece have no edges at its ends.
+    """
+    leaps = {name: at for name, at in observer.space.leaps.items() if len(at)}
+    if not leaps:
+        return [observer]
+    choices = []
+    for name, at in leaps.items():
+        prior = observer.prior[name]
+        low, high = observer.reach if name == "radial_distance" else prior.support()
+        inside = at[(at > low) & (at < high)]
+        edges = np.concatenate([[low], inside, [high]])
+        some = [(a, b) for a, b in pairwise(edges) if prior.cdf(b) > prior.cdf(a)]
+        choices.append([(name, _Within(prior, float(a), float(b))) for a, b in some])
+    return [
+        replace(observer, prior={**observer.prior, **dict(chosen)}, noise=observer.noise)
+        for chosen in product(*choices)
+    ]
+
+
+class PiecewiseSums:
+    """Posteriors under a prior that leaps: mixtures of those of its pieces.
+
+    Attributes
+    ----------
+    mean, sd, error, log_evidence, best
+        As of `weighted.Sums`.
+    """
+
+    def __init__(self, observer: Observer, parts: list[Any]) -> None:
+        self.observer, self.parts = observer, parts
+        log = np.stack([np.nan_to_num(p.log_evidence, nan=-np.inf) for p in parts])
+        top = log.max(axis=0)
+        with np.errstate(invalid="ignore"):
+            weight = np.where(np.isfinite(top), np.exp(log - top), 0.0)
+        total = weight.sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.log_evidence = np.where(total > 0, top + np.log(total), np.nan)
+            self.share = weight / total
+        mean = np.stack([np.nan_to_num(p.mean) for p in parts])
+        sd = np.stack([np.nan_to_num(p.sd) for p in parts])
+        share = self.share[..., None]
+        self.mean = (share * mean).sum(axis=0)
+        self.sd = np.sqrt((share * (sd**2 + (mean - self.mean) ** 2)).sum(axis=0))
+        error = np.stack([np.where(np.isfinite(p.error), p.error, 0.0) for p in parts])
+        self.error = np.where(total > 0, (self.share * error).sum(axis=0), np.inf)
+        best = np.nan_to_num(self.share, nan=0.0).argmax(axis=0)
+        self.best = np.stack([p.best for p in parts])[best, np.arange(len(best))]
+
+    def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
+        """Spans of an unknown, for one reading at a time."""
+        every: dict[int, list[tuple[Array, Array, Array]]] = {}
+        for part, share in zip(self.parts, self.share, strict=True):
+            for spans in part.spans(unknown, stride):
+                for row, low, high, mass in zip(*spans, strict=True):
+                    own = low, high, share[row] * mass / mass.sum()
+                    every.setdefault(int(row), []).append(own)
+        for row, pieces in sorted(every.items()):
+            yield Spans(
+                np.array([row]), *(np.concatenate(c)[None] for c in zip(*pieces, strict=True))
+            )
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown."""
+        return extrapolated(self, p, unknown)
+
+    def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
+        """Draws (B, count, U) of the contact."""
+        every = np.stack([part.draws(count, rng, readings) for part in self.parts])
+        out = np.full(every.shape[1:], np.nan)
+        for row in np.flatnonzero(np.isfinite(self.log_evidence)):
+            which: Index = rng.choice(len(every), count, p=self.share[:, row])
+            out[row] = every[which, row, np.arange(count)]
+        return out

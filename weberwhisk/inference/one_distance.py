@@ -18,18 +18,17 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import logsumexp, ndtr
 
 from .._util.values import Array, Index
-from .coordinates import constrain_distance, from_normal, leaps
-from .layers import Layers
+from .coordinates import constrain_distance, leaps
+from .layers import SCORES, Layers
+from .methods import pieces_of
 from .nodes import HALVINGS, Axis
 from .observer import Observer
-from .quadrature import TOLERANCE, pieces_of
-from .tree import tree_of
-from .weighted import Sums
+from .result import held_prior
+from .tree import TOLERANCE, tree_of
+from .weighted import Sums, mixed
 
 #: Nats below the best of each reading down to which it is followed: 9 sd.
 DROP = 40.0
-#: Normal scores at which conditional quantiles of the distance are interpolated between nodes.
-SCORES = np.linspace(-6.0, 6.0, 97)
 
 
 class ReadingGroup(NamedTuple):
@@ -380,27 +379,11 @@ def _log_slope(observer: Observer, x: Array) -> Array:
 
 
 def _log_prior(observer: Observer, x: Array, value: float | None) -> Array:
-    """ln of the flat prior of the first coordinate, the angle and its friction integrated out.
-
-    At a value of the shared unknown, which is all further unknowns but for friction.
-    """
-    out, n = _log_slope(observer, x), observer.bounded
-    if n < 2:
+    """ln of the flat prior of the first coordinate, at a value of the shared unknown."""
+    out = _log_slope(observer, x)
+    if observer.bounded < 2:
         return out
-    r, names = observer.space.distance(x), observer.unknowns[n:]
-    z = np.linspace(-4.8, 4.8, 25) if "friction_angle" in names else np.zeros(1)
-    contact = np.ones((len(r), len(z), len(observer.unknowns)))
-    contact[..., 0] = r[:, None]
-    for i, name in enumerate(names, n):
-        friction = name == "friction_angle"
-        contact[..., i] = from_normal(observer.prior[name])(z) if friction else value
-    least, held = observer.space.angle_range(contact[..., 0], contact)
-    if "deflection_angle" in observer.prior:
-        angle = observer.prior["deflection_angle"]
-        held = angle.cdf(least + held) - angle.cdf(least)
-    weight = np.exp(-0.5 * z**2)
-    with np.errstate(divide="ignore"):
-        return np.asarray(out + np.log(np.maximum(held @ weight / weight.sum(), 1e-300)))
+    return out + np.log(np.maximum(held_prior(observer, observer.space.distance(x), value), 1e-300))
 
 
 # -- sums over what is shared ----------------------------------------------------------------------
@@ -460,31 +443,22 @@ def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
     (mean, sd, value, spread), share, error = _summed(axis, known, every)
     if not np.isfinite(mean):
         return OneDistance()
-    held = np.flatnonzero([k in known and known[k].sd > 0 for k in every.tolist()])
-    heavy = held[share[held] > 1e-9]
-    first, last = max(heavy[0] - 1, held[0]), min(heavy[-1] + 1, held[-1])
-    own = [known.get(int(k), OneDistance()) for k in every[first : last + 1]]
-    here = np.array([one.sd > 0 for one in own])
+    own = [known.get(int(k), OneDistance()) for k in every]
+    held = np.array([one.sd > 0 for one in own])
     log = np.array([one.log_evidence for one in own])
-    log = np.maximum(log - log.max(), -45.0)
-    near = np.abs(np.arange(len(own))[:, None] - np.flatnonzero(here)).argmin(axis=1)
-    columns = np.array([one.quantiles(ndtr(SCORES)) for one in own if one.sd > 0])[near]
-    place = np.arange(len(own), dtype=float)
-    fine = np.linspace(0, len(own) - 1, 16 * (len(own) - 1) + 1)
-    degree = min(5, (len(own) - 2) // 2 * 2 + 1)
-    table = make_interp_spline(place, np.column_stack([log, columns]), k=degree)(fine)
-    mass = np.exp(table[:, 0] - table[:, 0].max())
-    quantile = np.maximum.accumulate(table[mass > 1e-9, 1:], axis=1)
-    mass = mass[mass > 1e-9] / mass[mass > 1e-9].sum()
-    r = np.linspace(quantile.min(), quantile.max(), 2001)
-    below = [ndtr(np.interp(r, one, SCORES, -9.0, 9.0)) for one in quantile]
-    best = max(known.values(), key=lambda one: one.log_evidence)
-    at = next(k for k, one in known.items() if one is best)
-    inner = share[held] @ [known[int(k)].error for k in every[held]]
-    evidence = best.log_evidence + np.log(axis.unit * step / share.max())
+    heavy = np.flatnonzero(held & (share > 1e-9))
+    near = slice(max(heavy[0] - 1, 0), heavy[-1] + 2)
+    quantile = np.array([one.quantiles(ndtr(SCORES)) for one in own[near]])
+    row: Index = np.zeros(1, dtype=np.intp)
+    spans = mixed(row, log[near], held[near], quantile, SCORES, 16)
+    fine = ndtr(np.linspace(SCORES[0], SCORES[-1], 1601))
+    r = spans.quantiles(fine)[0]
+    best = int(log.argmax())
+    inner = share[held] @ [one.error for one in own if one.sd > 0]
+    evidence = log[best] + np.log(axis.unit * step / share.max())
     return OneDistance(
-        mean, sd, r, np.gradient(mass @ np.array(below), r), float(evidence),
-        max(error, float(inner)), (value, spread, float(axis.value(at))), best.worse,
+        mean, sd, r, np.gradient(fine, r), float(evidence), max(error, float(inner)),
+        (value, spread, float(axis.value(every[best]))), own[best].worse,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from .._util.checks import finite
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
-from .coordinates import UNITS, ContactCoordinates
+from .coordinates import UNITS, ContactCoordinates, from_normal
 from .observer import Observer
 
 #: A reading this many sd from the signals is improbable under the model.
@@ -265,34 +265,23 @@ class Solution(NamedTuple):
     #: Errors of the quantiles, where the method knows them.
     quantile_error_of: Callable[[Array, int], Array] | None = None
 
-    def of(self, rows: Index) -> Solution:
-        """The same for readings some of which come again and again."""
-        return Solution(
-            [Estimate(*(column[rows] for column in estimate)) for estimate in self.estimates],
-            self.status[rows],
-            self.log_evidence[rows],
-            lambda p, unknown: self.quantile_of(p, unknown)[rows],
-            lambda count, seed: self.draws_of(count, seed)[rows],
-        )
-
-    def among(self, known: Flags) -> Solution:
-        """The same among readings (B,) of which the others are not known: NaN for those."""
+    def of(self, row: Index) -> Solution:
+        """The same for readings (B,) that are these rows here; −1 is none, and its numbers NaN."""
+        none = row < 0
 
         def put(values: Array) -> Array:
-            out = np.full((len(known), *values.shape[1:]), np.nan)
-            out[known] = values
+            out = np.full((len(row), *values.shape[1:]), np.nan)
+            out[~none] = values[row[~none]]
             return out
 
-        error_of = self.quantile_error_of or self.quantile_of
-        status = np.full(len(known), Status.NOT_A_READING, dtype=np.int8)
-        status[known] = self.status
+        error_of, status = self.quantile_error_of, put(self.status)
         return Solution(
             [Estimate(*map(put, estimate)) for estimate in self.estimates],
-            status,
+            np.where(none, Status.NOT_A_READING, status).astype(np.int8),
             put(self.log_evidence),
             lambda p, unknown: put(self.quantile_of(p, unknown)),
             lambda count, seed: put(self.draws_of(count, seed)),
-            self.quantile_error_of and (lambda p, unknown: put(error_of(p, unknown))),
+            error_of and (lambda p, unknown: put(error_of(p, unknown))),
         )
 
 
@@ -344,35 +333,39 @@ def distance_prior(observer: Observer, r: ArrayLike) -> Array:
     low, high = observer.reach
     inside = (r > low) & (r < high)
     place = np.where(inside, r, (low + high) / 2)
-    density = _angles_held(observer, place)
+    density = held_prior(observer, place)
     if "radial_distance" in observer.prior:
         density = density * observer.prior["radial_distance"].pdf(place)
     return np.where(inside, density, 0.0)
 
 
-def _angles_held(observer: Observer, r: Array) -> Array:
-    """The prior of all that is held at distances (...) inside the reach, up to a factor.
+def held_prior(observer: Observer, r: Array, given: float | None = None) -> Array:
+    """The prior of all angles that are held at distances (...) inside the reach, up to a factor.
 
-    The mean over further unknowns, where what is held depends on them: a friction, say.
+    The mean over unknowns that have priors alone, but for friction at the value `given`, if any.
     """
-    contact = r[..., None, None]
-    if observer.space.reach_varies:
-        names = observer.unknowns[observer.bounded :]
-        count = 9 if len(names) == 1 else 4
-        middle = [observer.prior[name].ppf((np.arange(count) + 0.5) / count) for name in names]
-        further = np.stack(np.meshgrid(*middle), axis=-1).reshape(-1, len(names))
-        contact = np.ones((*r.shape, len(further), len(observer.unknowns)))
-        contact[..., 0], contact[..., observer.bounded :] = r[..., None], further
+    if observer.bounded == 1 and not observer.space.reach_varies:
+        return np.ones(r.shape)
+    names = observer.unknowns[observer.bounded :]
+    free = [name for name in names if given is None or name == "friction_angle"]
+    free = free if observer.space.reach_varies else []
+    z = np.linspace(-4.8, 4.8, 25) if len(free) == 1 else np.linspace(-3.0, 3.0, 5)
+    scores = np.stack([a.ravel() for a in np.meshgrid(*[z] * len(free))] or [np.zeros(1)])
+    contact = np.ones((*r.shape, scores.shape[1], len(observer.unknowns)))
+    contact[..., 0] = r[..., None]
+    for i, name in enumerate(names, observer.bounded):
+        at = from_normal(observer.prior[name])
+        fixed = at(np.zeros(1)) if given is None else given
+        contact[..., i] = at(scores[free.index(name)]) if name in free else fixed
     if observer.bounded > 1:
         least, held = observer.space.angle_range(contact[..., 0], contact)
         if "deflection_angle" in observer.prior:
             angle = observer.prior["deflection_angle"]
             held = angle.cdf(least + held) - angle.cdf(least)
-    elif observer.space.reach_varies:
-        held = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
     else:
-        return np.ones(r.shape)
-    return np.asarray(held.mean(axis=-1))
+        held = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
+    weight = np.exp(-0.5 * np.square(scores).sum(axis=0))
+    return np.asarray(held @ weight / weight.sum())
 
 
 def contact_slope(space: ContactCoordinates, x: Array, *, h: float = 1e-5) -> Array:

@@ -14,8 +14,8 @@ from .._util.checks import kind
 from .._util.values import Array, Index, Line, interval_text
 from .observer import Observer
 from .one_distance import OneDistance, ReadingGroup, one_distance, quantiles_of, shared_unknowns
-from .quadrature import TOLERANCE
 from .result import Status, is_improbable, is_unidentified
+from .tree import TOLERANCE
 
 __all__ = ["Touches", "shared_unknowns", "touches"]
 

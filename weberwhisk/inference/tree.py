@@ -25,6 +25,8 @@ from .descent import Descent
 from .observer import Evaluated
 from .weighted import Sums
 
+#: Error of means and sds, in sds, above which posteriors are `IMPRECISE`.
+TOLERANCE = 2e-3
 #: Step of the first cells, in the observer's coordinates; a sixteenth of it with one unknown. At
 #: 1.0 narrow parts of posteriors of whiskers that rub were not found (19 of 225 readings).
 ROOT_STEP = 0.5

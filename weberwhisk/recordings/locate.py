@@ -19,8 +19,8 @@ from ..cues import Cue, ForceMap
 from ..cues.force_map import is_curved
 from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
-from ..inference.quadrature import TOLERANCE
 from ..inference.result import distance_prior
+from ..inference.tree import TOLERANCE
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
 from ..whisker import Whisker

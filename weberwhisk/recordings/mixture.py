@@ -19,8 +19,8 @@ from .._util.values import Array, Index
 from ..cues import Cue, UnknownStiffness
 from ..cues.force_map import is_curved
 from ..inference import Observer
+from ..inference.methods import sums_of
 from ..inference.one_distance import ReadingGroup, one_distance
-from ..inference.quadrature import sums_of
 from ..inference.weighted import Spans
 from ..mechanics import Profile, Spiral
 from ..whisker import Assumed, usual_turn
