@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,36 +28,18 @@ from .tree import TOLERANCE, tree_of
 from .weighted import interpolate
 
 
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """Modes of B posteriors in the coordinates x.
+def find_mode(
+    observer: Observer, reading: Array, starts: Array | None = None
+) -> tuple[Array, Array]:
+    """The highest points x (B, U) of posteriors of readings (B, S), and ln of the density there.
 
-    Attributes
-    ----------
-    x : array, shape (B, U)
-    log_density : array, shape (B,)
-    covariance : array, shape (B, U, U)
-        Inverse of the negative Hessian; where that is not positive, of its absolute value.
-    """
-
-    x: Array
-    log_density: Array
-    covariance: Array
-
-
-def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -> Mode:
-    """The highest points of the posteriors of readings (B, S), or those above starts (B, U).
-
-    From the best point of a coarse grid; with one unknown from the best cell of its tree, between
-    which no peak is lost: a signature (§2d) may have more peaks, and narrower ones, than any fixed
-    grid has places.
+    From starts (B, U), by default the best point of a coarse grid; with one unknown the best cell
+    of its tree, between which no peak is lost: a signature (§2d) may have more peaks, and narrower
+    ones, than any fixed grid has places.
     """
     if starts is None:
         starts = _starting_points(observer, reading)
-    x, top, _ = climb(observer, reading, starts, 1e-9, 60)
-    values, vectors = np.linalg.eigh(_hessian(observer, reading, x))
-    scale = 1 / np.maximum(np.abs(values), 1e-6)
-    return Mode(x, top, np.einsum("bde,be,bfe->bdf", vectors, scale, vectors))
+    return climb(observer, reading, starts, 1e-9, 60)[:2]
 
 
 def _starting_points(observer: Observer, reading: Array) -> Array:
@@ -177,12 +158,15 @@ def _hessian(observer: Observer, reading: Array, x: Array, *, h: float = 1e-4) -
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    mode = find_mode(observer, reading)
-    contact, _ = observer.contact(mode.x)
-    to_contact = contact_slope(observer.space, mode.x)
-    covariance = to_contact @ mode.covariance @ np.swapaxes(to_contact, 1, 2)
+    x, top = find_mode(observer, reading)
+    values, vectors = np.linalg.eigh(_hessian(observer, reading, x))
+    # Where minus the Hessian is not positive, of its absolute value.
+    root = vectors / np.sqrt(np.maximum(np.abs(values), 1e-6))[:, None]
+    contact, _ = observer.contact(x)
+    to_contact = contact_slope(observer.space, x) @ root
+    covariance = to_contact @ np.swapaxes(to_contact, 1, 2)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    mean_error, sd_error, summed = _beside_the_density(observer, reading, mode, sd)
+    mean_error, sd_error, summed = _beside_the_density(observer, reading, x, root, sd)
     worst = (np.maximum(mean_error, sd_error) / np.minimum(sd, summed)).max(axis=1)
     improbable = is_improbable(observer, reading, contact)
     status = np.where(improbable, Status.IMPROBABLE_READING, Status.CONVERGED)
@@ -193,28 +177,25 @@ def laplace(
         Estimate(contact[:, i], sd[:, i], mean_error[:, i], sd_error[:, i])
         for i in range(contact.shape[1])
     ]
-    log_evidence = mode.log_density + 0.5 * (
-        np.linalg.slogdet(mode.covariance)[1] + contact.shape[1] * np.log(2 * np.pi)
-    )
-    root = np.linalg.cholesky(mode.covariance)
+    log_evidence = top + np.linalg.slogdet(root)[1] + 0.5 * x.shape[1] * np.log(2 * np.pi)
 
     def quantile_of(p: Array, unknown: int) -> Array:
-        spread = np.sqrt(np.diagonal(mode.covariance, axis1=1, axis2=2))
+        spread = np.linalg.norm(root, axis=2)
         out = []
         for value in ndtri(p):  # quantiles are carried along each coordinate
-            out.append(observer.contact(mode.x + value * spread)[0][:, unknown])
+            out.append(observer.contact(x + value * spread)[0][:, unknown])
         return np.stack(out, axis=-1)
 
     def draws_of(count: int, seed: Seed) -> Array:
         z = np.random.default_rng(seed).standard_normal((len(reading), 4 * count, root.shape[1]))
-        x = mode.x[:, None] + z @ np.swapaxes(root, 1, 2)
-        return observer.contact(x)[0].reshape(len(reading), 4, count, -1)
+        drawn = x[:, None] + z @ np.swapaxes(root, 1, 2)
+        return observer.contact(drawn)[0].reshape(len(reading), 4, count, -1)
 
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
 
 
 def _beside_the_density(
-    observer: Observer, reading: Array, mode: Mode, sd: Array, *, together: int = 500_000
+    observer: Observer, reading: Array, mode: Array, root: Array, sd: Array
 ) -> tuple[Array, Array, Array]:
     """How far mean and sd of the contact are from the Gaussian's, and what the sd is, (B, U) each.
 
@@ -222,20 +203,18 @@ def _beside_the_density(
     alone it would miss what bends across them. A Gaussian leaves next to nothing at the grid's
     edge; of what there is as much again is taken to lie beyond, at the least as far off.
     """
-    at_mode = observer.contact(mode.x)[0]
-    dim = mode.x.shape[1]
+    at_mode = observer.contact(mode)[0]
+    dim = mode.shape[1]
     reach = 6.0 if dim == 1 else 4.5
     t = np.linspace(-reach, reach, {1: 25, 2: 13, 3: 9}.get(dim, 7))
     z = np.stack([a.ravel() for a in np.meshgrid(*[t] * dim, indexing="ij")], axis=-1)
     edge = (np.abs(z) == reach).any(axis=1)
-    values, vectors = np.linalg.eigh(mode.covariance)
-    root = vectors * np.sqrt(values)[:, None]
     mean, variance = np.empty((2, *at_mode.shape))
     beyond = np.empty((len(reading), 1))
-    rows = max(1, together // len(z))
+    rows = max(1, 500_000 // len(z))
     for start in range(0, len(reading), rows):
         some = slice(start, start + rows)
-        x = mode.x[some, None] + z @ np.swapaxes(root[some], 1, 2)
+        x = mode[some, None] + z @ np.swapaxes(root[some], 1, 2)
         log, contact = observer.log_density_and_contact(x, reading[some, None])
         weight = np.exp(log - log.max(axis=1, keepdims=True))
         weight /= weight.sum(axis=1, keepdims=True)

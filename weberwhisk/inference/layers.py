@@ -8,7 +8,7 @@ cells are thin oblique sheets, up to a million a reading.)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -20,8 +20,8 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 from .nodes import HALVINGS, TURN, Axis, Conditional
 from .observer import Observer
-from .tree import DROP, tree_of
-from .weighted import OVER, Proposals, Spans, Sums, extrapolated, interpolate, mixed
+from .tree import DROP, Tree, tree_of
+from .weighted import OVER, Spans, Sums, extrapolated, interpolate, mixed, resampled
 
 #: By how much sums over every other node are worse. Along a friction they converge as sums over a
 #: density with kinks do: a third of 6.7e-3 where 2.2e-3 was missed.
@@ -50,19 +50,24 @@ class _Node:
 
 
 class Layers:
-    """Posteriors of an observer some of whose unknowns have priors alone."""
+    """Posteriors of an observer some of whose unknowns have priors alone, or are given at nodes."""
 
-    def __init__(self, observer: Observer, tolerance: float, inner: int | None = None) -> None:
-        self.observer, self.tolerance = observer, tolerance
+    def __init__(
+        self, observer: Observer, tolerance: float, inner: int | None = None,
+        given: Mapping[str, int] | None = None,
+    ) -> None:  # fmt: skip
+        self.observer, self.tolerance, self.given = observer, tolerance, dict(given or {})
         self.inner = observer.bounded if inner is None else inner
-        self.axes = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
+        self._all = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
+        self.axes = [axis for axis in self._all if axis.name not in self.given]
 
-    def tree(self, node: tuple[int, ...]) -> Any:
+    def tree(self, node: tuple[int, ...]) -> Tree:
         """The tree at a node."""
+        at = dict(zip((axis.name for axis in self.axes), node, strict=True)) | self.given
         standard = {"scaled": 1.0, "turned": 0.0}
         further = tuple(
-            standard.get(axis.known, float(axis.value(0 if axis.known else k)))
-            for axis, k in zip(self.axes, node, strict=True)
+            standard.get(axis.known, float(axis.value(0 if axis.known else at[axis.name])))
+            for axis in self._all
         )
         return tree_of(Conditional(self.observer, further), self.tolerance)
 
@@ -89,7 +94,7 @@ class LayeredSums:
     ) -> None:
         self.layers, self.axes, self.observer = layers, layers.axes, layers.observer
         self.readings, self.covariance, self.drop = readings, covariance, drop
-        count, unknowns = len(readings), len(self.observer.unknowns)
+        count, unknowns = len(readings), layers.inner + len(self.axes)
         self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
         self.error, self.log_evidence = np.full(count, np.inf), np.full(count, np.nan)
         self.halvings = np.zeros((count, len(self.axes)), dtype=int)
@@ -446,17 +451,17 @@ class LayeredSums:
                 for rows, found in self.nodes[self._wrapped(own)].parts:
                     if row in rows:
                         place = int(np.flatnonzero(rows == row)[0])
-                        proposed = found.proposals(int(many[i]), rng, place)
-                        x.append(proposed.x)
+                        proposed, log_proposed = found.proposals(int(many[i]), rng, place)
+                        x.append(proposed)
                         step = np.array([k[1] - k[0] for k in keys])
                         z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
-                        log_of.append(proposed.log + np.log(weight[i]))
+                        log_of.append(log_proposed + np.log(weight[i]))
             some, node = np.concatenate(x), np.concatenate(z)
             further = [axis.value(k) for axis, k in zip(self.axes, node.T, strict=True)]
             contact, log_density = self.observer.contact(some, further=further)
             log_density += sum(a.log_prior(k) for a, k in zip(self.axes, node.T, strict=True))
             log_density += self.observer.log_likelihood(self.readings[row], contact)
-            chosen = Proposals.resampled(log_density - np.concatenate(log_of), count, rng)
+            chosen = resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]
         return out
 

@@ -253,13 +253,13 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
         # is worse news than a ridge.
         some = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
         if some.size:
-            mode = find_mode(observer, reading[some], observer.coordinates(best[some])).x
+            mode, _ = find_mode(observer, reading[some], observer.coordinates(best[some]))
             some = some[is_unidentified(observer, observer.contact(mode)[0])]
         status[some] = Status.UNIDENTIFIED
     outside = is_improbable(observer, reading, best)
     vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
     if vague.size:  # whose best cell may be the wrong one
-        mode = find_mode(observer, reading[vague]).x
+        mode, _ = find_mode(observer, reading[vague])
         outside[vague] = is_improbable(observer, reading[vague], observer.contact(mode)[0])
     status[outside] = Status.IMPROBABLE_READING
     ends = np.cumsum([len(part.error) for part in parts])[:-1]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.special import logsumexp, ndtr
+from scipy.special import gamma, gammainc, logsumexp, ndtr
 
 from .._util.values import Array, Index
 from .coordinates import constrain_distance, leaps
@@ -24,11 +24,8 @@ from .methods import pieces_of
 from .nodes import HALVINGS, Axis
 from .observer import Observer
 from .result import held_prior
-from .tree import TOLERANCE, tree_of
-from .weighted import Sums, mixed
-
-#: Nats below the best of each reading down to which it is followed: 9 sd.
-DROP = 40.0
+from .tree import DROP, TOLERANCE, tree_of
+from .weighted import Leaves, Sums, mixed
 
 
 class ReadingGroup(NamedTuple):
@@ -150,29 +147,6 @@ class _Part(NamedTuple):
     log: Array
 
 
-class _Fewer(NamedTuple):
-    """What layers ask of an observer one of whose unknowns is given."""
-
-    unknowns: tuple[str, ...]
-    bounded: int
-
-
-class _Given(Layers):
-    """Layers of a friction where another unknown is given at a node."""
-
-    def __init__(self, observer: Observer, axis: Axis, node: int) -> None:
-        super().__init__(observer, TOLERANCE)
-        self._whole = Layers(observer, TOLERANCE)
-        self._at = [a.name for a in self.axes].index(axis.name)
-        self._node = node
-        del self.axes[self._at]
-        names = tuple(n for n in observer.unknowns if n != axis.name)
-        self.observer: Any = _Fewer(names, observer.bounded)
-
-    def tree(self, node: tuple[int, ...]) -> Any:
-        return self._whole.tree((*node[: self._at], self._node, *node[self._at :]))
-
-
 def _sums(
     observer: Observer, y: Array, covariance: Array | None, axis: Axis | None, node: int
 ) -> Iterator[tuple[Index, Sums, Array]]:
@@ -180,21 +154,20 @@ def _sums(
     slope = 0.0
     if axis:
         y, covariance, slope = axis.asked(y, covariance, node)
-    if len(observer.unknowns) - (axis is not None) == observer.bounded:
-        tree = Layers(observer, TOLERANCE).tree((node,)) if axis else tree_of(observer, TOLERANCE)
-        found = tree.sums(y, covariance, drop=DROP)
+    layers = Layers(observer, TOLERANCE, given={axis.name: node} if axis else None)
+    if not layers.axes:
+        tree = layers.tree(()) if axis else tree_of(observer, TOLERANCE)
+        found = tree.sums(y, covariance, drop=2 * DROP)
         yield np.arange(len(y)), found, found.log_evidence + slope
         return
-    layers = _Given(observer, axis, node) if axis else Layers(observer, TOLERANCE)
-    whole = layers.sums(y, covariance, drop=DROP)
+    whole = layers.sums(y, covariance, drop=2 * DROP)
     for key, at in whole.nodes.items():
         # Nodes of steps that were halved are asked again by the finer ones: all count alike.
-        fine = whole.layers.axes[0].nodes(0)[1] - whole.layers.axes[0].nodes(0)[0]
-        step = fine >> whole.halvings[:, 0]
-        ends = whole.layers.axes[0].nodes(0)[0]
+        first, second = layers.axes[0].nodes(0)[:2]
+        step = (second - first) >> whole.halvings[:, 0]
         for rows, found in at.parts:
-            mine = (key[0] - ends) % step[rows] == 0
-            width = np.log(whole.axes[0].unit * step[rows])
+            mine = (key[0] - first) % step[rows] == 0
+            width = np.log(layers.axes[0].unit * step[rows])
             yield rows, found, np.where(mine, at.log[rows] + width + slope, -np.inf)
 
 
@@ -219,38 +192,24 @@ def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
 
     It integrates to the evidence.
     """
-    for leaves in found.leaves():
-        step, layer = leaves.step, leaves.place[0].astype(np.intp)
-        low = np.minimum.reduceat(layer, leaves.first)
-        owner = leaves.owner
-        layer -= low[owner]
-        size = int(layer.max()) + 1
-        top = np.maximum.reduceat(leaves.log, leaves.first)
-        weight = np.exp(leaves.log - top[owner])
-        within = np.ones((1, len(weight)))
-        if spans is not None:
-            contact = found.observer.contact_at((leaves.place.T + 0.5) * step)
-            further = getattr(found.observer, "further", ())
-            own = np.column_stack([contact, np.tile(further, (len(contact), 1))])
-            whole = getattr(found.observer, "observer", found.observer)
-            least, width = whole.space.angle_range(own[:, 0], own)
-            share = (own[:, 1] - least) / np.maximum(width, 1e-300)
-            within = np.exp(-((share / spans[:, None]) ** 4)) / _norms(spans)[:, None]
-        index = owner * size + layer
-        with np.errstate(divide="ignore"):
-            columns = [np.log(np.bincount(index, weight * w, len(low) * size)) for w in within]
-        mass = np.add.reduceat(weight, leaves.first)
-        norm = found.log_evidence[leaves.rows] - np.log(mass) - np.log(step[0])
-        table = np.stack(columns, axis=-1).reshape(len(low), size, -1) + norm[:, None, None]
-        length = np.maximum.reduceat(layer, leaves.first) + 1
-        for row, start, log, end in zip(leaves.rows, low, table, length, strict=True):
-            yield int(row), _Part((start + 0.5) * step[0], step[0], log[:end])
+    observer: Any = found.observer
 
+    def within(leaves: Leaves) -> Array:
+        if spans is None:
+            return np.ones((1, len(leaves.log)))
+        contact = observer.contact_at((leaves.place.T + 0.5) * leaves.step)
+        further = np.tile(getattr(observer, "further", ()), (len(contact), 1))
+        own = np.column_stack([contact, further])
+        least, width = getattr(observer, "observer", observer).space.angle_range(own[:, 0], own)
+        share = (own[:, 1] - least) / np.maximum(width, 1e-300)
+        # Over its mean: the integral of exp(−(u/s)⁴) over shares u.
+        mean = spans * gamma(1.25) * gammainc(0.25, spans**-4.0)
+        return np.asarray(np.exp(-((share / spans[:, None]) ** 4)) / mean[:, None])
 
-def _norms(spans: Array) -> Array:
-    """The mean of exp(−(u/s)⁴) over shares u."""
-    u = (np.arange(2000)[:, None] + 0.5) / 2000
-    return np.asarray(np.exp(-((u / spans) ** 4)).mean(axis=0))
+    for rows, starts, step, table in found.marginals(within=within):
+        lengths = np.isfinite(table).any(axis=-1).cumsum(axis=1).argmax(axis=1) + 1
+        for row, start, log, end in zip(rows, starts, table, lengths, strict=True):
+            yield int(row), _Part(start, step, log[:end] + found.log_slope[row])
 
 
 class _Curve:
@@ -258,7 +217,7 @@ class _Curve:
 
     def __init__(self, parts: list[_Part]) -> None:
         self.top = max(float(part.log.max()) for part in parts)
-        parts = [part for part in parts if part.log.max() > self.top - DROP]
+        parts = [part for part in parts if part.log.max() > self.top - 2 * DROP]
         self.low = min(part.start for part in parts)
         self.high = max(part.start + part.step * (len(part.log) - 1) for part in parts)
         self._splines = []

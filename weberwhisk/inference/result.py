@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util.arviz_io import ArvizData
@@ -269,7 +269,7 @@ class Solution(NamedTuple):
         """The same for readings (B,) that are these rows here; −1 is none, and its numbers NaN."""
         none = row < 0
 
-        def put(values: Array) -> Array:
+        def put(values: NDArray[Any]) -> Array:
             out = np.full((len(row), *values.shape[1:]), np.nan)
             out[~none] = values[row[~none]]
             return out

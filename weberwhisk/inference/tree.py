@@ -386,7 +386,7 @@ class Tree:
         cells were left out too early descends again, three times in all at most; with `least` (B,)
         none does, and those whose ln of the density is nowhere above that have no sums.
         """
-        out = Sums.of(len(readings), self.unknowns, self.observer)
+        out = Sums(len(readings), self.unknowns, self.observer)
         start = self.start
         if not start.count:  # no contact at all
             return out

@@ -7,8 +7,8 @@ Gaussian. Quantiles are those of *spans*, stretches of an unknown over which mas
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,27 +71,16 @@ class Spans(NamedTuple):
         return np.stack([np.interp(p, up, at) for up, at in zip(rise, ends, strict=True)])
 
 
-class Proposals(NamedTuple):
-    """Proposed coordinates (n, U), and ln of the density (n,) that they come from, up to a factor.
-
-    One in `OVER` is kept, by importance: systematic resampling.
-    """
-
-    x: Array
-    log: Array
-
-    @staticmethod
-    def resampled(log_weight: Array, count: int, rng: np.random.Generator) -> Index:
-        """Which (count,) of the proposals to keep, given ln of their weights (n,)."""
-        weight = np.exp(log_weight - log_weight.max())
-        rise = np.cumsum(weight) / weight.sum()
-        wanted = (np.arange(count) + rng.random()) / count
-        return rng.permutation(np.minimum(np.searchsorted(rise, wanted), len(rise) - 1))
+def resampled(log_weight: Array, count: int, rng: np.random.Generator) -> Index:
+    """Which (count,) of proposals to keep, by importance, given ln of their weights (n,)."""
+    weight = np.exp(log_weight - log_weight.max())
+    rise = np.cumsum(weight) / weight.sum()
+    wanted = (np.arange(count) + rng.random()) / count  # systematic resampling
+    return rng.permutation(np.minimum(np.searchsorted(rise, wanted), len(rise) - 1))
 
 
-@dataclass(eq=False)
 class Sums:
-    """Posteriors of B readings of U unknowns, as weighted cells and their sums.
+    """Posteriors of `count` readings as weighted cells and their sums, NaN until there are any.
 
     Attributes
     ----------
@@ -101,24 +90,16 @@ class Sums:
     log_evidence : array, shape (B,)
     best : array, shape (B, U)
         The contact of the cell of highest density.
+    log_slope : array, shape (B,)
+        ln of the density of a reading over that of what cells take for it.
     """
 
-    observer: Any
-    mean: Array
-    sd: Array
-    error: Array
-    log_evidence: Array
-    best: Array
-    _part: Index
-    _leaves: list[Leaves] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, count: int, unknowns: int, observer: Any) -> Sums:
-        """Of readings that have not been summed."""
-        nan = np.full((count, unknowns), np.nan)
-        none = np.full(count, np.nan)
-        return cls(observer, nan, nan.copy(), np.full(count, np.inf), none, nan.copy(),
-                   np.full(count, -1))  # fmt: skip
+    def __init__(self, count: int, unknowns: int, observer: Any) -> None:
+        self.observer = observer
+        self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
+        self.log_evidence, self.log_slope = np.full((2, count), np.nan)
+        self.error, self._part = np.full(count, np.inf), np.full(count, -1)
+        self._leaves: list[Leaves] = []
 
     def add(self, leaves: Leaves, contact: Array, log_slope: Array, smooth: bool) -> Array:
         """Sum over leaves in place of any that their readings had: by how much halves differ.
@@ -166,6 +147,7 @@ class Sums:
         worst = np.max(each, axis=0)
         self.error[at] = worst**2 if smooth else worst
         self.log_evidence[at] = top + np.log(total) + np.log(step).sum() + log_slope
+        self.log_slope[at] = log_slope
         highest = np.flatnonzero(log == top[owner])
         highest = highest[np.unique(owner[highest], return_index=True)[1]]
         self.best[at] = contact[:, highest].T
@@ -190,11 +172,13 @@ class Sums:
 
     # -- along one axis ----------------------------------------------------------------------------
 
-    def marginals(self, among: Flags | None = None) -> Iterator[tuple[Index, Array, float, Array]]:
+    def marginals(
+        self, among: Flags | None = None, within: Callable[[Leaves], Array] | None = None
+    ) -> Iterator[tuple[Index, Array, float, Array]]:
         """ln of the density of the first coordinate at even places.
 
         For some rows (n,) at a time: the first place (n,), the step, and ln of the density (n, L),
-        −inf where there is no cell.
+        −inf where there is no cell; (n, L, K) by factors (K, P) of the cells, if any.
         """
         for leaves in self.leaves(among):
             step, place = leaves.step, leaves.place[0].astype(np.intp)
@@ -204,9 +188,12 @@ class Sums:
             count = int(place.max()) + 1
             top = np.maximum.reduceat(leaves.log, leaves.first)
             weight = np.exp(leaves.log - top[owner])
-            mass = np.bincount(owner * count + place, weight, len(low) * count)
+            index, size = owner * count + place, len(low) * count
+            factors = np.ones((1, len(weight))) if within is None else within(leaves)
+            mass = np.stack([np.bincount(index, weight * f, size) for f in factors], axis=-1)
             with np.errstate(divide="ignore"):
-                log = np.log(mass.reshape(-1, count)) + top[:, None]
+                log = np.log(mass.reshape(len(low), count, -1)) + top[:, None, None]
+            log = log[..., 0] if within is None else log
             yield leaves.rows, (low + 0.5) * step[0], step[0], log + np.log(step[1:]).sum()
 
     def spans(self, unknown: int, stride: int = 1, among: Flags | None = None) -> Iterator[Spans]:
@@ -270,11 +257,11 @@ class Sums:
 
     # -- draws -------------------------------------------------------------------------------------
 
-    def proposals(self, count: int, rng: np.random.Generator, row: int) -> Proposals:
-        """Coordinates (count, U) of the posterior of one reading, spread over its cells.
+    def proposals(self, count: int, rng: np.random.Generator, row: int) -> tuple[Array, Array]:
+        """Coordinates (count, U) spread over the cells of one reading, and ln of their density.
 
-        Of cells of next to no density there are more than these have mass, as it may be higher
-        elsewhere in them.
+        The density (count,) is up to a factor. Of cells of next to no density there are more than these have mass, as it
+        may be higher elsewhere in them.
         """
         among = np.arange(len(self.error)) == row
         leaves = next(self.leaves(among))
@@ -284,15 +271,15 @@ class Sums:
         chosen = rng.choice(len(weight), count, p=weight)
         middle = leaves.place[:, chosen].T + 0.5
         x = (middle + rng.random(middle.shape) - 0.5) * step
-        return Proposals(x, np.log(weight[chosen]) - np.log(step).sum())
+        return x, np.log(weight[chosen]) - np.log(step).sum()
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((*self.mean.shape[:1], count, self.mean.shape[1]), np.nan)
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
-            proposed = self.proposals(OVER * count, rng, int(row))
-            log, contact = self.observer.log_density_and_contact(proposed.x, readings[row])
-            out[row] = contact[Proposals.resampled(log - proposed.log, count, rng)]
+            x, log_proposed = self.proposals(OVER * count, rng, int(row))
+            log, contact = self.observer.log_density_and_contact(x, readings[row])
+            out[row] = contact[resampled(log - log_proposed, count, rng)]
         return out
 
 
@@ -302,7 +289,10 @@ def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans
     Of cells all of whose corners are inside.
     """
     n, i, j = inside.shape
-    corners = [(slice(None), slice(a, i - 1 + a), slice(b, j - 1 + b)) for a, b in _SQUARE]
+    corners = [
+        (slice(None), slice(a, i - 1 + a), slice(b, j - 1 + b))
+        for a, b in product((0, 1), repeat=2)
+    ]
     whole = np.logical_and.reduce([inside[c] for c in corners])
     ends = np.stack([value[c][whole] for c in corners])
     mass = sum(density[c][whole] for c in corners)
@@ -316,9 +306,6 @@ def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans
         filled[owner, slot] = values
         out.append(filled)
     return Spans(rows, *out)
-
-
-_SQUARE = [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
 def _between(rows: Index, value: Array, log: Array, top: Array | None = None) -> Spans:
