@@ -92,7 +92,7 @@ numpydoc_xref_ignore: Any = "all"  # but for what has a page, below
 #: Modules whose public names are the reference, in the order of the argument.
 MODULES = {
     "weberwhisk": "What `import weberwhisk as ww` gives",
-    "weberwhisk.mechanics": "Bending, flick-past, sweeps, muscle and vibration",
+    "weberwhisk.mechanics": "Bending, flick-past, sweeps and vibration",
     "weberwhisk.cues": "The paper's methods",
     "weberwhisk.receptors": "Receptor noise",
     "weberwhisk.inference": "Posteriors and observers",

@@ -31,11 +31,11 @@ from weberwhisk.cues import (
     ComparativeLength,
     Compliance,
     ForceMap,
+    MuscleCurve,
     Vibration,
     VibrissaLength,
 )
 from weberwhisk.mechanics import closed_form, cylinder, signal_jacobian, sweep
-from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation
 from weberwhisk.sweeping import follow

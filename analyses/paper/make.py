@@ -22,7 +22,7 @@ from gallery.surveys import SEED
 from paper import claims, plots, remade
 
 from weberwhisk._util.output import Run, atomic_write
-from weberwhisk.mechanics.muscle import MuscleCurve
+from weberwhisk.cues import MuscleCurve
 
 
 def figures(short: bool) -> dict[str, tuple[dict[str, pd.DataFrame], Any]]:

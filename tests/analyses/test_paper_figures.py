@@ -13,8 +13,7 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk._util.output import Run
-from weberwhisk.cues import BalanceOfMoments
-from weberwhisk.mechanics.muscle import MuscleCurve
+from weberwhisk.cues import BalanceOfMoments, MuscleCurve
 from weberwhisk.plots import figure_of
 
 paper, claims, script = (load(f"paper.{name}") for name in ("remade", "claims", "make"))

@@ -12,7 +12,7 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp, ndtr
 
-from weberwhisk._util.ensemble import sample_stacked
+from weberwhisk._util.sampling import sample_stacked
 from weberwhisk.behaviour import (
     PopulationFit,
     PopulationStatus,

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from weberwhisk._util.ensemble import sample_stacked
+from weberwhisk._util.sampling import sample_stacked
 from weberwhisk.behaviour import (
     StateFit,
     States,

@@ -6,9 +6,8 @@ from cue_checks import moments_by_midpoints
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import BalanceOfMoments, Cue
+from weberwhisk.cues import BalanceOfMoments, Cue, MuscleCurve
 from weberwhisk.mechanics import closed_form
-from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.receptors import GeneralisedWeber
 from weberwhisk.sensitivity import prior_draws, weber_propagation
 

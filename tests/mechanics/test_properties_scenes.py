@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from property_strategies import POWERS, floats, scaled, whiskers
 
 import weberwhisk as ww
-from weberwhisk.cues import BalanceOfMoments
+from weberwhisk.cues import BalanceOfMoments, MuscleCurve
 from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
-from weberwhisk.mechanics.muscle import MuscleCurve
 
 # Whiskers of every size may be as little curved as a slip of units would be.
 pytestmark = pytest.mark.filterwarnings("ignore:curvature is in 1/m")

@@ -8,9 +8,8 @@ from integrators import follow
 from scipy.optimize import brentq, minimize_scalar
 
 from weberwhisk import Outcome
-from weberwhisk.cues import BalanceOfMoments
+from weberwhisk.cues import BalanceOfMoments, MuscleCurve
 from weberwhisk.mechanics import elastica
-from weberwhisk.mechanics.muscle import MuscleCurve
 from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from weberwhisk._util.arviz_io import mcse, rhat, to_arviz
+from weberwhisk._util.sampling import mcse, rhat, to_arviz
 
 Array = NDArray[np.float64]
 

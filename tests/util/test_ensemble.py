@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import special
 from short_forms import slow_but
 
-from weberwhisk._util.ensemble import (
+from weberwhisk._util.sampling import (
     BlockDifferentialEvolution,
     BlockMove,
     BlockStretch,

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from .._util import checks
-from .._util.arviz_io import pointwise_loo
+from .._util.sampling import pointwise_loo
 from .._util.values import Array, Index, Shown
 from .criticism import Answers
 from .estimates import check_fit

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .._util import checks
-from .._util.arviz_io import ArvizData
+from .._util.sampling import ArvizData
 from .._util.threads import one_blas_thread
 from .._util.values import Array, pd
 from . import report

@@ -13,8 +13,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.arviz_io import ArvizData, to_arviz
 from .._util.output import plain
+from .._util.sampling import ArvizData, to_arviz
 from .._util.threads import one_blas_thread
 from .._util.values import Array, Shown, interval_text
 from .estimates import tails

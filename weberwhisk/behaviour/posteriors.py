@@ -331,7 +331,7 @@ def sample(
 
     `trouble` says so where the run has not converged, to 0.03 sds of every parameter.
     """
-    from .._util.ensemble import Shortfall, sample_stacked
+    from .._util.sampling import Shortfall, sample_stacked
 
     rng = np.random.default_rng(seed)
     dim = sum(model.free) + model.free_bias * model.n_groups

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .._util.arviz_io import ArvizData
-from .._util.arviz_io import to_arviz as convert
 from .._util.output import plain
+from .._util.sampling import ArvizData
+from .._util.sampling import to_arviz as convert
 from .._util.values import Array, counted, paragraphs
 from .estimates import Estimates
 from .likelihood import Draws

@@ -1,7 +1,7 @@
 """The paper's methods of radial distance determination (§2a–h), behind one protocol."""
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
-from .balance_of_moments import BalanceOfMoments
+from .balance_of_moments import BalanceOfMoments, MuscleCurve
 from .force_map import ForceMap
 from .protocol import Cue, Fused
 from .space_map import SpaceMap
@@ -11,6 +11,7 @@ from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [
     "AngleSideAngle", "BalanceOfMoments", "ComparativeLength", "Compliance", "ContactAndDetachment",
-    "Cue", "ForceMap", "Friction", "Fused", "SpaceMap", "TwoWhiskers", "UnknownCurvature",
-    "UnknownHinge", "UnknownRoll", "UnknownStiffness", "Vibration", "VibrissaLength",
+    "Cue", "ForceMap", "Friction", "Fused", "MuscleCurve", "SpaceMap", "TwoWhiskers",
+    "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness", "Vibration",
+    "VibrissaLength",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
-from .._util.ensemble import StackedSample, sample_stacked
+from .._util.sampling import StackedSample, sample_stacked
 from .._util.values import Array, Flags, Index
 from ..receptors import Seed
 from .coordinates import FARTHEST

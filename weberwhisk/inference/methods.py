@@ -16,6 +16,7 @@ from .._util.checks import kind, one_of, positive_number
 from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
 from .coordinates import is_all_around
+from .emcee import sample
 from .laplace import find_mode, laplace
 from .layers import LayeredSums, Layers
 from .observer import Observer
@@ -103,7 +104,8 @@ def posterior(
     if observer.noise.is_categorical:  # few things can happen: each is solved once
         asked, back = np.unique(asked, axis=0, return_inverse=True)
         row[known] = back.reshape(-1)
-    solve = _solver(method) if known.any() else quadrature
+    methods = {"quadrature": quadrature, "emcee": sample, "laplace": laplace}
+    solve = methods[method] if known.any() else quadrature
     solution = solve(observer, asked, seed, tolerance, progress).of(row)
     if method != "quadrature":  # which knows no ends there
         cut = _cut_off(observer, solution) & (solution.status == Status.CONVERGED)
@@ -129,17 +131,6 @@ def posterior(
         solution.draws_of,
         solution.quantile_error_of,
     )
-
-
-def _solver(method: str) -> Any:
-    """The function of a method; emcee is imported when first asked for, as it is heavy."""
-    if method == "quadrature":
-        return quadrature
-    if method == "emcee":
-        from .emcee import sample
-
-        return sample
-    return laplace
 
 
 def _cut_off(observer: Observer, solution: Solution) -> Flags:

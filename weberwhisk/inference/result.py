@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._util.arviz_io import ArvizData
 from .._util.checks import finite
+from .._util.sampling import ArvizData, to_arviz
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
@@ -232,8 +232,6 @@ class Posterior(Shown):
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;
         quadrature and Laplace are drawn from with `seed`. Many readings add a dimension.
         """
-        from .._util.arviz_io import to_arviz
-
         values = self.draws_of(draws, seed)
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
         if self.reading.ndim == 1:

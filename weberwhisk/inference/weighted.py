@@ -260,8 +260,8 @@ class Sums:
     def proposals(self, count: int, rng: np.random.Generator, row: int) -> tuple[Array, Array]:
         """Coordinates (count, U) spread over the cells of one reading, and ln of their density.
 
-        The density (count,) is up to a factor. Of cells of next to no density there are more than these have mass, as it
-        may be higher elsewhere in them.
+        The density (count,) is up to a factor. Of cells of next to no density there are more than
+        these have mass, as it may be higher elsewhere in them.
         """
         among = np.arange(len(self.error)) == row
         leaves = next(self.leaves(among))

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import Choice, choose_model
     from .modes import Modes
-    from .muscle import MuscleCurve
     from .objects import Sweep, sweep
     from .profile import rest_angle
     from .rod import RodBending
@@ -32,12 +31,11 @@ _HOME = {
     "rod": ("RodBending",),
     "touch": ("Body", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
-    "muscle": ("MuscleCurve",),
     "modes": ("Modes",),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
-    "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "MuscleCurve", "Outcome",
+    "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "Outcome",
     "Parabola", "Profile", "RodBending", "Spiral", "Sweep", "bend", "choose_model",
     "closed_form", "cylinder", "elastica", "flick_past", "modes", "peg", "press",
     "profile", "rest_angle", "rod", "signal_jacobian", "sweep", "wall",
