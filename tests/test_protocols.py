@@ -237,7 +237,7 @@ GOOD = {  # what each class needs at least
 NAMED = {GeneralisedWeber: {"floor": 0.1}, Saturating: {"ceiling": 1.0}}
 EVERY = [
     *GOOD,
-    *(getattr(cues, n) for n in cues.__all__ if n != "Cue"),
+    *(getattr(cues, n) for n in cues.__all__ if n not in ("Cue", "MuscleCurve")),
     *(getattr(ww.receptors, n) for n in ("Weber", "LogNormal")),
 ]
 
