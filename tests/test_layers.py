@@ -65,8 +65,8 @@ TABLE: dict[str, tuple[str, ...]] = {
     "design": ("behaviour", "array"),
     "plots": ("design",),
     "": ("plots", "sweeping"),
-    "cli": ("_util.campaign",),
-    "commands": ("", "cli"),
+    "commands": ("",),
+    "cli": ("commands",),
 }
 ONLY_IN = {
     "emcee": "_util.sampling",

@@ -10,30 +10,19 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
-if TYPE_CHECKING:
-    from ._util.values import Array
+from .commands import choices, experiments, fit, quickstart, raised_by_weberwhisk, whiskers
 
-__all__ = [
-    "COMMANDS", "PLAIN", "a_number", "a_seed", "app", "main", "new_app", "numbers", "progress",
-    "raised_by_weberwhisk", "run_app",
-]  # fmt: skip
-
-
-#: Refusals are one sentence, not a box, and a traceback is the whole traceback.
-PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
+__all__ = ["COMMANDS", "app", "main", "new_app", "run_app"]
 
 
 class GroupedCommand(TyperCommand):
@@ -52,54 +41,11 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(records)
 
 
-def lazy_app(package: str, commands: Mapping[str, str]) -> typer.Typer:
-    """A command line whose commands, ``"module:function"``, are imported when they are used.
-
-    So that `--version` and completion do not wait for SciPy, a command's line of help, the first of
-    its docstring, is read from the module's text.
-    """
-    folder = Path(__file__).parent / package.rpartition(".")[2]
-    lines = {}
-    for name, home in commands.items():
-        module, _, function = home.partition(":")
-        text = (folder / f"{module}.py").read_text("utf-8")
-        found = re.search(rf'^def {function}\(.*?^    """(.*?)$', text, re.M | re.S)
-        lines[name] = found[1] if found else ""
-
-    class Lazy(TyperGroup):
-        listing = False
-
-        def __init__(self, **attributes: Any) -> None:
-            super().__init__(**attributes)
-            for name, line in lines.items():
-                self.add_command(TyperCommand(name, callback=None, short_help=line))
-
-        def get_command(self, ctx: Any, cmd_name: str) -> Any:
-            if self.listing or cmd_name not in commands:
-                return super().get_command(ctx, cmd_name)
-            module, _, function = commands[cmd_name].partition(":")
-            alone = typer.Typer(add_completion=False, **PLAIN)
-            loaded = import_module(f"{package}.{module}")
-            alone.command(cmd_name, cls=GroupedCommand)(getattr(loaded, function))
-            return typer.main.get_command(alone)
-
-        def format_commands(self, ctx: Any, formatter: Any) -> None:
-            with formatter.section("Commands"):
-                formatter.write_dl(list(lines.items()))
-
-        def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-            self.listing = True
-            try:
-                return super().shell_complete(ctx, incomplete)
-            finally:
-                self.listing = False
-
-    return new_app(Lazy)
-
-
-def new_app(group: type[TyperGroup] | None = None) -> typer.Typer:
-    """An empty command line with this module's conventions."""
-    app = typer.Typer(cls=group, add_completion=group is not None, **PLAIN)
+def new_app(commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
+    """A command line with this module's conventions."""
+    app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+    for name, function in commands.items():
+        app.command(name, cls=GroupedCommand)(function)
 
     @app.callback(invoke_without_command=True)
     def weberwhisk(
@@ -160,15 +106,6 @@ def _refuse(sentence: str) -> int:
     return 2
 
 
-def raised_by_weberwhisk(error: BaseException) -> bool:
-    """Whether it is a refusal of ours; a ValueError from elsewhere is a bug and must look it."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    package = trace.tb_frame.f_globals.get("__package__") if trace is not None else None
-    return (package or "").split(".")[0] == "weberwhisk"
-
-
 @contextmanager
 def _termination_unwinds() -> Iterator[None]:
     """Let a terminated command clean up, as an interrupted one does."""
@@ -186,69 +123,20 @@ def _termination_unwinds() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextmanager
-def progress(
-    description: str, total: float, *, as_json: bool, every: float = 15.0
-) -> Iterator[Callable[..., None]]:
-    """Progress on standard error, as `output.shown` tells it; none where JSON is printed."""
-    if as_json:
-        yield lambda done=1.0: None
-        return
-    from ._util.output import shown
-
-    with shown(description, total, every=every) as advance:
-        yield advance
-
-
-def a_number(text: str | float) -> float:
-    """The value of an option that takes one number."""
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is not a number; write one such as 3.5") from None
-
-
-def a_seed(text: str | int) -> int:
-    """The value of ``--seed``."""
-    if not str(text).isdecimal():
-        raise typer.BadParameter(f"{text!r} is not a seed; write a whole number such as 1")
-    return int(text)
-
-
-def numbers(option: str, values: Sequence[str]) -> Array:
-    """The numbers of a list option, whether comma-separated or repeated.
-
-    Examples
-    --------
-    >>> numbers("--deflection-angle-deg", ["5,10", "20"])
-    array([ 5., 10., 20.])
-    """
-    import numpy as np
-
-    found = []
-    for text in (text.strip() for value in values for text in value.split(",")):
-        try:
-            found.append(float(text))
-        except ValueError:
-            raise ValueError(f"{option} takes numbers such as 10,20,30, got {text!r}.") from None
-    return np.array(found)
-
-
-#: Each command's function, by its module.
 COMMANDS = {
-    "quickstart": "quickstart:quickstart",
-    "bend": "whiskers:bend",
-    "jnd": "whiskers:jnd",
-    "calibrate": "whiskers:calibrate",
-    "locate": "whiskers:locate",
-    "simulate": "choices:simulate",
-    "fit": "fit:fit",
-    "design": "experiments:design",
-    "rehearse": "experiments:rehearse",
-    "analyse": "experiments:analyse",
-    "next": "choices:next_trials",
+    "quickstart": quickstart.quickstart,
+    "bend": whiskers.bend,
+    "jnd": whiskers.jnd,
+    "calibrate": whiskers.calibrate,
+    "locate": whiskers.locate,
+    "simulate": choices.simulate,
+    "fit": fit.fit,
+    "design": experiments.design,
+    "rehearse": experiments.rehearse,
+    "analyse": experiments.analyse,
+    "next": choices.next_trials,
 }
-app = lazy_app(f"{__package__}.commands", COMMANDS)
+app = new_app(COMMANDS)
 
 
 def main() -> int:

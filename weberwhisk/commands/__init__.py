@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -28,14 +29,69 @@ import weberwhisk as ww
 
 from .._util import checks
 from .._util.output import Run, to_json
+from .._util.output import shown as progress_shown
 from .._util.values import Array, pd
-from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 
 __all__ = [
-    "CUES", "NO_SHAPE", "SCENES", "Number", "Shape", "Text", "Texts", "as_asked", "command",
-    "describe", "enough_draws", "finish", "one_angle", "option", "pairs", "show", "the_cue",
-    "the_scene", "the_whisker", "weber_fractions", "whisker_line", "with_options",
+    "CUES", "NO_SHAPE", "SCENES", "Number", "Shape", "Text", "Texts", "a_number", "a_seed",
+    "as_asked", "command", "describe", "enough_draws", "finish", "numbers", "one_angle", "option",
+    "pairs", "progress", "raised_by_weberwhisk", "show", "the_cue", "the_scene", "the_whisker",
+    "weber_fractions", "whisker_line", "with_options",
 ]  # fmt: skip
+
+
+@contextmanager
+def progress(
+    description: str, total: float, *, as_json: bool, every: float = 15.0
+) -> Iterator[Callable[..., None]]:
+    """Progress on standard error, as `output.shown` tells it; none where JSON is printed."""
+    if as_json:
+        yield lambda done=1.0: None
+        return
+    with progress_shown(description, total, every=every) as advance:
+        yield advance
+
+
+def raised_by_weberwhisk(error: BaseException) -> bool:
+    """Whether it is a refusal of ours; a ValueError from elsewhere is a bug and must look it."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    package = trace.tb_frame.f_globals.get("__package__") if trace is not None else None
+    return (package or "").split(".")[0] == "weberwhisk"
+
+
+def a_number(text: str | float) -> float:
+    """The value of an option that takes one number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not a number; write one such as 3.5") from None
+
+
+def a_seed(text: str | int) -> int:
+    """The value of ``--seed``."""
+    if not str(text).isdecimal():
+        raise typer.BadParameter(f"{text!r} is not a seed; write a whole number such as 1")
+    return int(text)
+
+
+def numbers(option: str, values: Sequence[str]) -> Array:
+    """The numbers of a list option, whether comma-separated or repeated.
+
+    Examples
+    --------
+    >>> numbers("--deflection-angle-deg", ["5,10", "20"])
+    array([ 5., 10., 20.])
+    """
+    found = []
+    for text in (text.strip() for value in values for text in value.split(",")):
+        try:
+            found.append(float(text))
+        except ValueError:
+            raise ValueError(f"{option} takes numbers such as 10,20,30, got {text!r}.") from None
+    return np.array(found)
+
 
 Text = str | None
 Texts = list[str] | None

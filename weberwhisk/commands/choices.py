@@ -11,7 +11,7 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text, to_json
-from ..cli import numbers
+from . import numbers
 
 if TYPE_CHECKING:
     from ..behaviour import CueEncoding

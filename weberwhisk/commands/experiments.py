@@ -16,7 +16,7 @@ from .._util import checks
 from .._util.campaign import all_cores
 from .._util.output import Run, atomic_write
 from .._util.values import counted, pd
-from ..cli import numbers
+from . import numbers
 
 if TYPE_CHECKING:
     from ..design import Constraints, Plan

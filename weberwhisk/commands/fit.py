@@ -13,7 +13,7 @@ from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
-from ..cli import numbers
+from . import numbers
 from .choices import distance_encoding
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ import weberwhisk as ww
 from .._util.checks import positive
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
-from ..cli import progress
-from . import command, describe, enough_draws, finish, whisker_line, with_options
+from . import command, describe, enough_draws, finish, progress, whisker_line, with_options
 from .whiskers import curve_in_steps
 
 __all__ = ["jnd_surface", "moment_dominated", "quickstart", "rat_choices"]

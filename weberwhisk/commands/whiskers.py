@@ -14,7 +14,7 @@ from .. import commands as opt
 from .._util import checks
 from .._util.output import Run
 from .._util.values import Array, pd
-from ..cli import a_seed, numbers, progress
+from . import a_seed, numbers, progress
 
 __all__ = ["bend", "calibrate", "curve_in_steps", "jnd", "locate"]
 
