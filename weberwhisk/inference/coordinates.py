@@ -294,17 +294,6 @@ def _logistic(z: Array, log_slope: Array) -> tuple[Array, Array]:
 
 def from_normal(distribution: Any) -> Callable[[Array], Array]:
     """The value as far up its distribution as z is up the standard normal, as a function of z."""
-    family = getattr(getattr(distribution, "dist", None), "name", None)
-    if family == "norm":
-        mean, sd = float(distribution.mean()), float(distribution.std())
-        return lambda z: mean + sd * z
-    if family == "lognorm" and distribution.support()[0] == 0.0:
-        middle, above = distribution.ppf([0.5, ndtr(1.0)])
-        spread = np.log(above / middle)
-        return lambda z: np.asarray(middle * np.exp(spread * z))
-    if family == "uniform":
-        low, high = distribution.support()
-        return lambda z: np.asarray(low + (high - low) * ndtr(z))
 
     def value(z: Array) -> Array:
         z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is

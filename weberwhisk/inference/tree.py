@@ -15,6 +15,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 import numpy as np
@@ -151,24 +152,17 @@ class Level:
         return first
 
 
-class Layout:
-    """The rows of a level's data: what pairs of a reading and a cell ask for."""
-
-    def __init__(self, unknowns: int, gaussian: int, features: int, signals: int) -> None:
-        sizes = {
-            "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
-            "mean": gaussian, "precision": gaussian, "blurred_constant": 1,
-            "blurred_precision": gaussian, "length": unknowns, "rise": 1, "other_length": 1,
-            "signals": signals, "change": unknowns * features,
-        }  # fmt: skip
-        at = 0
-        for name, size in sizes.items():
-            setattr(self, name, slice(at, at + size))
-            at += size
-        self.total = at
-
-    def __getattr__(self, name: str) -> slice:  # for type checkers: set above
-        raise AttributeError(name)
+def layout(unknowns: int, gaussian: int, features: int, signals: int) -> tuple[Any, int]:
+    """The rows of a level's data, by what they are for, and how many there are."""
+    sizes = {
+        "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
+        "mean": gaussian, "precision": gaussian, "blurred_constant": 1,
+        "blurred_precision": gaussian, "length": unknowns, "rise": 1, "other_length": 1,
+        "signals": signals, "change": unknowns * features,
+    }  # fmt: skip
+    ends = np.cumsum([*sizes.values()]).tolist()
+    slices = map(slice, [0, *ends[:-1]], ends)
+    return SimpleNamespace(**dict(zip(sizes, slices, strict=True))), ends[-1]
 
 
 class Tree:
@@ -210,7 +204,8 @@ class Tree:
         self.scores, self.smooth = scores, self.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
-        self.rows = Layout(self.unknowns, self.size, self.features, signals if self.others else 0)
+        own_signals = signals if self.others else 0
+        self.rows, self.height = layout(self.unknowns, self.size, self.features, own_signals)
 
     def _features(self, at: Evaluated) -> tuple[Array, Array]:
         """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
@@ -228,7 +223,7 @@ class Tree:
         `change` (U, N, F) is by how much features change across a cell along each axis.
         """
         rows, size = self.rows, self.size
-        out = np.empty((rows.total, len(place)))
+        out = np.empty((self.height, len(place)))
         total = np.abs(change).sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             held = np.isfinite(at.log_prior) & (scale > 0).all(axis=1)
@@ -250,7 +245,7 @@ class Tree:
             out[rows.blurred_constant] = log_prior + constant - np.log(blurred).sum(axis=1)
             out[rows.precision], out[rows.blurred_precision] = 1 / sd.T, 1 / blurred.T
             if self.gaussian:
-                out[rows.mean] = self._mean(at.signals).T
+                out[rows.mean] = self.gaussian.features(at.signals)[0].T
             # Flat priors are as wide as 1 or so in the coordinates, for which a step counts.
             own = (2.5 * level.step) ** 2
             square = np.square(change[..., :-1] / scale).sum(axis=2) + own[:, None]
@@ -264,10 +259,6 @@ class Tree:
         out[rows.change] = change.transpose(0, 2, 1).reshape(-1, len(place)) if len(place) else 0.0
         self.evaluated += len(place)
         return out
-
-    def _mean(self, signals: Array) -> Array:
-        assert self.gaussian
-        return self.gaussian.features(signals)[0]
 
     @property
     def start(self) -> Level:
@@ -320,7 +311,7 @@ class Tree:
             place = np.indices(count).reshape(unknowns, -1).T + first
             chosen = np.flatnonzero(inside.ravel())
             cells = np.arange(held.size).reshape(shape)[centre].ravel()[chosen]
-            level = Level(step, np.empty((self.rows.total, 0)))
+            level = Level(step, np.empty((self.height, 0)))
             own = Evaluated(*(column[cells] for column in at))
             change = change.reshape(unknowns, -1, features.shape[1])[:, chosen]
             level.add(self._columns(place[chosen], own, scale[cells], change, level))
@@ -332,7 +323,7 @@ class Tree:
         unknowns, shape = self.unknowns, tuple(1 + p for p in pattern)
         parts = int(np.prod(shape))
         child, first = level.children.get(pattern) or (
-            Level(level.step / shape, np.empty((self.rows.total, 0)), depth=level.depth + 1),
+            Level(level.step / shape, np.empty((self.height, 0)), depth=level.depth + 1),
             np.zeros(0, dtype=np.int32),
         )
         if len(first) < level.count:
@@ -371,7 +362,7 @@ class Tree:
     @property
     def bytes(self) -> int:
         """Memory of the cells."""
-        return 0 if self._start is None else 8 * self.rows.total * self.evaluated
+        return 0 if self._start is None else 8 * self.height * self.evaluated
 
     # -- readings ----------------------------------------------------------------------------------
 

@@ -164,11 +164,6 @@ class Bending(Shown):
         """Fx·L²/EI₀."""
         return self.axial_force / self.whisker.force_scale
 
-    @property
-    def normalised_radial_distance(self) -> Array:
-        """r/L."""
-        return self.radial_distance / self.whisker.length
-
 
 #: Relative error of the signals to stay below, by default, where equations are integrated.
 TOLERANCE = 1e-9

@@ -433,25 +433,11 @@ def _clamped_angle(
 
         q, end = np.arcsin(size[inside] / last[inside]), peak[inside]
         args = (*(a[inside] for a in (r, top, compliance, last)), q)
-        # By secants, as p is nearly in proportion to q; where they have not ended, by brackets.
-        p, behind, miss = q / (np.pi / 2) * end, 0 * q, -q
-        for _ in range(5):
-            now = excess(p, *args)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                step = np.where(now == 0, 0.0, now * (p - behind) / (now - miss))
-            behind, miss, p = p, now, np.clip(p - step, 0.0, end)
-        left = ~(np.abs(step) < 1e-8 * p)  # the next is smaller than rounding
-        if left.any():
-            some = tuple(a[left] for a in args)
-            found: Any = find_root(
-                excess,
-                (0 * q[left], end[left]),
-                args=some,
-                tolerances={"xrtol": 1e-12, "frtol": 1e-12},
-            )
-            # Rounding can leave no root between the ends where θ is all but the largest.
-            lost = np.where(q[left] > np.pi / 2 - 1e-6, end[left], np.nan)
-            p[left] = np.where(found.success, found.x, lost)
+        found: Any = find_root(
+            excess, (0 * q, end), args=args, tolerances={"xrtol": 1e-12, "frtol": 1e-12}
+        )
+        # Rounding can leave no root between the ends where θ is all but the largest.
+        p = np.where(found.success, found.x, np.where(q > np.pi / 2 - 1e-6, end, np.nan))
         out[inside] = top[inside] * np.sin(p)
     return np.copysign(out, theta), (size > held) & ((peak < np.pi / 2) | (last > held))
 
