@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from weberwhisk._util.log import Log
+from weberwhisk._util.output import Log
 from weberwhisk.behaviour import IdentityEncoding
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice

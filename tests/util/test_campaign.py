@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 
 from weberwhisk._util.campaign import CampaignError, run
-from weberwhisk._util.log import Log
+from weberwhisk._util.output import Log
 
 HERE = Path(__file__).parents[1]
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from . import checks, output
-from .log import Log
-from .output import shown
+from .output import Log, shown
 from .threads import core_count, in_browser, limited_blas
 from .values import pd
 

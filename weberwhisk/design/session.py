@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.log import Log
+from .._util.output import Log
 from .._util.values import Array, Index, Line
 from ..behaviour.trials import Cells
 from .placement import BayesianPlacer, Proposal, TrialLog

@@ -359,34 +359,29 @@ def _determinant(state: Array) -> Array:
     return np.asarray(arc_x * force_y - arc_y * force_x)
 
 
-def follow_blocks(
-    rows: Rows, arc: Array, force: Array, friction: Array, steps: int, block: int = 2000
-) -> Path:
-    """`follow` in blocks of rows whose slopes fit the cache."""
-    n = arc.size
-    if n <= block:
-        return follow(rows, arc, force, friction, steps)
-    parts = []
-    for start in range(0, n, block):
-        part = slice(start, start + block)
-        parts.append(follow(rows.take(part), arc[part], force[part], friction[part], steps))
-    names = vars(parts[0])
-    return Path(**{k: np.concatenate([vars(p)[k] for p in parts], axis=-1) for k in names})
-
-
 def follow_each(
-    rows: Rows, arc: Array, force: Array, friction: Array, steps: NDArray[np.int64]
+    rows: Rows,
+    arc: Array,
+    force: Array,
+    friction: Array,
+    steps: NDArray[np.int64],
+    block: int = 2000,
 ) -> Path:
-    """`follow` with a number of steps for each row; no warning is raised."""
+    """`follow` with a number of steps for each row; no warning is raised.
+
+    In blocks of rows whose slopes fit the cache.
+    """
     counts = np.unique(steps)
     path: Path | None = None
     with np.errstate(all="ignore"):
-        if counts.size <= 1:
-            return follow_blocks(rows, arc, force, friction, int(np.max(counts, initial=1)))
+        if counts.size <= 1 and arc.size <= block:
+            return follow(rows, arc, force, friction, int(np.max(counts, initial=1)))
         for count in counts:
-            at = np.flatnonzero(steps == count)
-            now = follow_blocks(rows.take(at), arc[at], force[at], friction[at], int(count))
-            path = (path or now.room(arc.size)).put(at, now)
+            every = np.flatnonzero(steps == count)
+            for start in range(0, every.size, block):
+                at = every[start : start + block]
+                now = follow(rows.take(at), arc[at], force[at], friction[at], int(count))
+                path = (path or now.room(arc.size)).put(at, now)
     assert path is not None
     return path
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.values import Array, Codes, Flags, Index, member
+from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
 from .branches import FOLD, NO_MOVE, REACHED, TIP, Branches, extended, walk
@@ -73,10 +73,6 @@ class Scenes:
         for start in range(0, self.length.size, size):
             part = slice(start, start + size)
             yield part, self.rows.take(part), [a[part] for a in self.given]
-
-    def outcome(self, flat: Codes) -> Any:
-        """Outcomes in the scenes' shape."""
-        return member(Outcome, flat.reshape(self.shape))
 
     def jacobian(self, slopes: Array) -> Array:
         """Slopes (3, 2, n) of moment and two forces to (r, θ_d), (..., 3, 2) and in SI units."""

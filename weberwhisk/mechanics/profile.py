@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import positive
-from .._util.values import Array
+from .._util.values import Array, member
 from ..whisker import Whisker
 from .beam import Rows, resolve, zero_load
 from .branches import NO_MOVE, TIP, Branches, extended, walk
@@ -243,4 +243,5 @@ def flick_past(
         scenes.bending(numbers, held, error)
         for numbers, error in zip((at_end, at_peak), errors, strict=True)
     )
-    return FlickPast(end.deflection_angle, scenes.outcome(ended_by), end, peak)
+    reason = member(Outcome, ended_by.reshape(scenes.shape))
+    return FlickPast(end.deflection_angle, reason, end, peak)
