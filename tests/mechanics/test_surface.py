@@ -44,10 +44,10 @@ def test_the_limit_is_flick_pasts():
 def test_any_shape_in_pieces_or_whole():
     w = ww.Whisker(50e-3, 100e-6, 5e-6)
     r, theta = np.linspace(5e-3, 45e-3, 150)[:, None], np.linspace(0.01, 1.5, 100)
-    signals, outcome = ForwardModel(w).tabled(r, theta)
+    signals, outcome = ForwardModel(w).signals(r, theta)
     assert signals.shape == (150, 100, 3)
     assert outcome.shape == (150, 100)
-    row, held = ForwardModel(w).tabled(r[40], theta)
+    row, held = ForwardModel(w).signals(r[40], theta)
     assert np.allclose(signals[40], row, rtol=1e-13, atol=0, equal_nan=True)
     assert np.array_equal(outcome[40], held)
 

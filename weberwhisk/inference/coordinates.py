@@ -94,7 +94,13 @@ class ContactCoordinates:
         )
         log_jacobian += np.log(high - low)
         if self.bounded > 1:
-            low_angle, width = self._angle_range_given(out, further)
+            if further and not any(np.ndim(value) for value in further):
+                # Cells of a tree stand in columns of one distance, and ranges in space are dear.
+                r, first, back = np.unique(out[..., 0], return_index=True, return_inverse=True)
+                low_angle, width = self.angle_range(r, out.reshape(-1, out.shape[-1])[first])
+                width = width[back.reshape(out.shape[:-1])]
+            else:
+                low_angle, width = self.angle_range(out[..., 0], out)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 y = x[..., 1] - self._log_gain(out[..., 0], width)
                 fraction, log_slope = constrain_angle(y)
@@ -104,19 +110,6 @@ class ContactCoordinates:
                     out[..., 1] = np.clip(out[..., 1], *ends)
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         return out, log_jacobian
-
-    def _angle_range_given(
-        self, contact: Array, further: Sequence[Any] | None
-    ) -> tuple[float, Array]:
-        """The range of angles of contacts (..., U), once for each distance where `further` are one.
-
-        Cells of a tree stand in columns of one distance, and ranges of whiskers in space are dear.
-        """
-        if not further or any(np.ndim(value) for value in further):
-            return self.angle_range(contact[..., 0], contact)
-        r, first, back = np.unique(contact[..., 0], return_index=True, return_inverse=True)
-        low, width = self.angle_range(r, contact.reshape(-1, contact.shape[-1])[first])
-        return low, width[back.reshape(contact.shape[:-1])]
 
     def reaching(self, farthest: float) -> ContactCoordinates:
         """The same with distances that end at another reach, m."""

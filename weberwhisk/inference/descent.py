@@ -80,9 +80,10 @@ class Descent:
                 most = self.left_out[task.row[first]]
                 self.left_out[task.row[first]] = np.maximum(most, np.maximum.reduceat(out, first))
             if kept.any():
-                step = self._sum if task.last else self._halve
-                level, row, cell = task.level, task.row[kept], task.cell[kept]
-                todo += step(level, row, cell, log[kept], (log - top)[kept])
+                log, depth = log[kept], (log - top)[kept]
+                task = task._replace(row=task.row[kept], cell=task.cell[kept])
+                how = self._sum(task, log) if task.last else self._long(task, depth)
+                todo += self._halved(task, *how)
 
     def log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
         """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""
@@ -150,10 +151,9 @@ class Descent:
         square += (change[:, tree.size : -1] ** 2).sum(axis=1)
         return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
 
-    def _halve(
-        self, level: Level, row: Index, cell: Index, log: Array, depth: Array
-    ) -> list[Pairs]:
-        """Halve cells along the axes that are too long; where none is, they are the last."""
+    def _long(self, task: Pairs, depth: Array) -> tuple[Flags, Flags, Flags]:
+        """Along which axes the cells of each reading are too long, and what `_halved` asks more."""
+        level, row, cell, _ = task
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
         # Where the density is e^−d of the highest, an error of a share ε of that is one of ε e^d
@@ -167,32 +167,12 @@ class Descent:
         wide = ratio > 1
         stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
         self.refined[own[stuck & wide.any(axis=0)]] = DEEPEST  # as often as it could be
-        last = ~wide.any(axis=0) | stuck
-        done = np.asarray((ratio <= 2).all(axis=0))
-        return self._tasks(level, row, cell, counts, wide, last, done)
+        last = (ratio <= 2).all(axis=0) | stuck
+        return wide & ~stuck, np.ones(len(own), dtype=bool), np.asarray(last)
 
-    def _tasks(
-        self, level: Level, row: Index, cell: Index, counts: Index, wide: Flags, stay: Flags,
-        done: Flags,
-    ) -> list[Pairs]:  # fmt: skip
-        """What comes next of rows: those that stay as they are, and by pattern those halved."""
-        tasks = []
-        if stay.any():
-            some = np.repeat(stay, counts)
-            tasks.append(Pairs(level, row[some], cell[some], True))
-        kinds = np.vstack([wide, done])[:, ~stay]
-        for kind in np.unique(kinds, axis=1).T:
-            own = ~stay & (np.vstack([wide, done]) == kind[:, None]).all(axis=0)
-            some = np.repeat(own, counts)
-            pattern = tuple(int(w) for w in kind[:-1])
-            child, split = self.tree._split(level, pattern, cell[some])
-            parts = 2 ** sum(pattern)
-            cells = (split[:, None] + np.arange(parts)).ravel()
-            tasks.append(Pairs(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
-        return tasks
-
-    def _sum(self, level: Level, row: Index, cell: Index, log: Array, depth: Array) -> list[Pairs]:
+    def _sum(self, task: Pairs, log: Array) -> tuple[Flags, Flags, Flags]:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
+        level, row, cell, _ = task
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
         rows, out = self.tree.rows, self.rows_out[own]
@@ -200,14 +180,28 @@ class Descent:
         contact = level.data[rows.contact][:, cell]
         leaves = Leaves(level.step, out, first, place, log)
         each = self.out.add(leaves, contact, self.log_slope[own], self.tree.smooth)
-        error = self.out.error[out]
-        wide = (each > 0.5 * each.max(axis=0)) & (error > self.tree.tolerance)
+        wide = (each > 0.5 * each.max(axis=0)) & (self.out.error[out] > self.tree.tolerance)
         self.refined[own] += wide.any(axis=0)
-        stop = ~wide.any(axis=0) | (self.refined[own] > self.tree.refinements)
-        stop |= counts * 2.0 ** wide.sum(axis=0) > MOST
-        if stop.all():
-            return []
-        some = np.repeat(~stop, counts)
-        left = counts[~stop]
-        every = np.ones(len(left), dtype=bool)
-        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], ~every, every)
+        again = wide.any(axis=0) & (self.refined[own] <= self.tree.refinements)
+        again &= counts * 2.0 ** wide.sum(axis=0) <= MOST
+        return wide, again, np.ones(len(own), dtype=bool)
+
+    def _halved(self, task: Pairs, wide: Flags, again: Flags, last: Flags) -> list[Pairs]:
+        """The cells of readings that go on `again` (n,), halved along the `wide` axes (U, n).
+
+        For the last time, or not, (n,).
+        """
+        level, row, cell, _ = task
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts = np.diff(first, append=len(row))
+        kinds, tasks = np.vstack([wide, last]), []
+        for kind in np.unique(kinds[:, again], axis=1).T:
+            own = np.repeat(again & (kinds == kind[:, None]).all(axis=0), counts)
+            pattern = tuple(int(w) for w in kind[:-1])
+            child, cells = level, cell[own]
+            if any(pattern):
+                child, split = self.tree._split(level, pattern, cells)
+                cells = (split[:, None] + np.arange(2 ** sum(pattern))).ravel()
+            rows = np.repeat(row[own], 2 ** sum(pattern))
+            tasks.append(Pairs(child, rows, cells, bool(kind[-1])))
+        return tasks

@@ -275,7 +275,7 @@ class Observer(Fields):
         """
         with np.errstate(all="ignore"):
             contact, log_prior = self.contact(x, further, space)
-            signals, outcome = self.signals(contact)
+            signals, outcome = self.cue.signals(self.whisker, contact, model=self.solver)
         held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
         held &= np.isfinite(signals).all(axis=-1)
         with np.errstate(all="ignore"):

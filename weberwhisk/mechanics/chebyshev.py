@@ -149,10 +149,6 @@ class Map:
     fold_load: Curve  # u → ℓ/ℓ_cap at the fold
     fold: Curve  # x(v) → θ_fold/(1−v), and c at the moment peak
 
-    def fold_angle(self, v: Array) -> Array:
-        """θ_fold at r = vA."""
-        return (1 - v) * self.fold(unfold(v))[0]
-
 
 @cache
 def the_map() -> Map:

@@ -154,13 +154,13 @@ def _contact(
     v: Array, stiffness: Array | float, r: Array, theta: Array
 ) -> tuple[Array, Array, Array, Array, Flags]:
     """Force, contact angle, arc and c at v = r/A and θ ≥ 0 (past the fold, those of the fold)."""
-    table = the_map()
-    fold_angle = table.fold_angle(v)
+    table, x = the_map(), unfold(v)
+    fold_angle = (1 - v) * table.fold(x)[0]
     tangent = theta / fold_angle
     past = tangent > 1
     c = np.sqrt(np.where(past, 0.0, (1 - tangent) * (1 + tangent)))
     angle = np.where(past, fold_angle, theta)
-    log_force, log_angle, log_extra = table.contact_given(unfold(v), c)
+    log_force, log_angle, log_extra = table.contact_given(x, c)
     force = 3 * stiffness * angle * (1 - v) / r**2 * np.exp(log_force)
     contact_angle = angle * (3 - 2 * v) / (2 * (1 - v)) * np.exp(log_angle)
     arc = r * (1 + angle**2 / (1 - v) * np.exp(log_extra))
@@ -336,7 +336,8 @@ class Surface:
         """Largest deflection angle at each distance (n,), rad; NaN out of reach."""
         r = np.asarray(radial_distance, dtype=float)
         v = r / self.length * self.taper
-        angle = the_map().fold_angle(np.clip(v, 0.0, 1.0))
+        inside = np.clip(v, 0.0, 1.0)
+        angle = (1 - inside) * the_map().fold(unfold(inside))[0]
         angle[beyond_tip(r, self.length, v)] = np.nan
         tip = (r > self.tip_from) & ~np.isnan(angle)
         if np.any(tip):

@@ -278,12 +278,20 @@ class ForwardModel(Value):
             return signals, outcome
         if self.model not in (None, "elastica"):
             return self._solved(r, theta)
-        return self.tabled(r, theta)
+        surface = self.surface
+        if isinstance(surface, Surface):
+            both = np.broadcast_arrays(r, theta)
+            shape, flat = both[0].shape, [a.reshape(-1) for a in both]
+        else:
+            shape, (*flat, _) = self._rows(r, theta)
+        out, outcome = in_pieces(surface, *flat, axis=0)
+        return out.reshape(*shape, 3), outcome.reshape(shape)
 
     @cached_property
     def _table(self) -> ForwardModel:
         """What bends on a hinge, by the table that serves it."""
-        return replace(self.clamped, model=None if self.is_plain else self.model)
+        rough = not self.is_plain and self.model in ("elastica", "closed_form")
+        return replace(self.clamped, model="elastica" if rough else None)
 
     def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Flags]:
         """How much of deflections bends the whisker (...), and whether it lost hold early."""
@@ -311,17 +319,6 @@ class ForwardModel(Value):
         else:
             signals, outcome = in_pieces(self.surface, *flat, axis=0)
         return signals.reshape(*shape, 6), outcome.reshape(shape)
-
-    def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
-        """`signals` of a clamped base by the table, whichever model is named."""
-        surface = self.surface
-        if isinstance(surface, Surface):
-            both = np.broadcast_arrays(r, theta)
-            shape, flat = both[0].shape, [a.reshape(-1) for a in both]
-        else:
-            shape, (*flat, _) = self._rows(r, theta)
-        out, outcome = in_pieces(surface, *flat, axis=0)
-        return out.reshape(*shape, 3), outcome.reshape(shape)
 
     def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """By solving the equations of the model that was named, contact by contact."""
@@ -444,7 +441,7 @@ def _clamped_angle(
 
 def _angle(forward: ForwardModel, p: Array, r: Array, top: Array, compliance: Array) -> Array:
     inner = top * np.sin(p)
-    return np.asarray(inner + compliance * forward.tabled(r, inner)[0][..., 0])
+    return np.asarray(inner + compliance * forward.signals(r, inner)[0][..., 0])
 
 
 @lru_cache(maxsize=64)
