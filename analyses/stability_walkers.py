@@ -19,7 +19,7 @@ import numpy as np
 import stability_posteriors as posteriors
 from hunting import Axis, Domain, Fate, Judged
 
-from weberwhisk.inference import emcee
+from weberwhisk.inference import approximate
 
 Array = np.ndarray
 Case = dict[str, Array]
@@ -40,17 +40,17 @@ BAD_START = {
 @contextmanager
 def started_at(place: Array | None, width: float) -> Iterator[None]:
     """The engine with walkers in a ball, if one is given."""
-    own = emcee._start
+    own = approximate._start
 
     def ball(observer, reading, density, rng):
         start, mode = own(observer, reading, density, rng)
         return place[: mode.shape[1]] + width * rng.standard_normal(start.shape), mode
 
     try:
-        emcee._start = own if place is None else ball
+        approximate._start = own if place is None else ball
         yield
     finally:
-        emcee._start = own
+        approximate._start = own
 
 
 def judge(case: Case, name: str) -> Judged:

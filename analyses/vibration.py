@@ -18,7 +18,7 @@ from command import options
 import weberwhisk as ww
 from weberwhisk._util.output import Run
 from weberwhisk.cues import Vibration
-from weberwhisk.inference.laplace import count_peaks
+from weberwhisk.inference.approximate import count_peaks
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 COUNTS = (2, 3, 4, 6, 8)

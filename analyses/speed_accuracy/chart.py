@@ -39,7 +39,7 @@ from weberwhisk import (
     simulate_trials,
 )
 from weberwhisk.inference import Posterior
-from weberwhisk.inference.laplace import climb, find_mode
+from weberwhisk.inference.approximate import climb, find_mode
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ from short_forms import short_or_full
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
 from weberwhisk.cues import ForceMap, Vibration
-from weberwhisk.inference.laplace import count_peaks, is_divided
+from weberwhisk.inference.approximate import count_peaks, is_divided
 from weberwhisk.mechanics import modes
 from weberwhisk.receptors import GeneralisedWeber, Weber
 

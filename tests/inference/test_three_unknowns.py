@@ -14,7 +14,7 @@ from weberwhisk.cues import (
     UnknownStiffness,
 )
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.laplace import find_mode
+from weberwhisk.inference.approximate import find_mode
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 from weberwhisk.sensitivity import prior_draws, weber_propagation
 

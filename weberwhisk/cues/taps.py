@@ -209,9 +209,9 @@ class Vibration(Cue):
     information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
     An amplitude of zero, at a node, is sensed no better than the floor of the noise.
 
-    The signature need not be unique: `posterior.peaks.count_peaks` counts the places left. Of them
-    quadrature in one dimension misses none; emcee and Laplace may, and then say so. With further
-    unknowns (a fusion) every method may know of the highest peak alone.
+    The signature need not be unique: `inference.approximate.count_peaks` counts the places left. Of
+    them quadrature in one dimension misses none; emcee and Laplace may, and then say so. With
+    further unknowns (a fusion) every method may know of the highest peak alone.
 
     Examples
     --------

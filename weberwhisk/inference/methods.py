@@ -15,9 +15,8 @@ from .. import domain
 from .._util.checks import kind, one_of, positive_number
 from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
+from .approximate import find_mode, laplace, sample
 from .coordinates import is_all_around
-from .emcee import sample
-from .laplace import find_mode, laplace
 from .layers import LayeredSums, Layers
 from .observer import Observer
 from .result import (
