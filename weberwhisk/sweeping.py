@@ -27,10 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
-from ._util.values import Array, Codes, Fields, Flags, Index
+from ._util.values import Array, Codes, Fields, Flags
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .inference import Observer
+from .inference.weighted import systematic
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.objects import Walls, rate_on_wall, slid
@@ -407,7 +408,7 @@ class SweepFilter:
             else:
                 rows[k] = _summary(state, weight, push[k])
             if 1 / np.square(weight).sum() < 0.5 * len(state):
-                state = state[_resampled(weight, rng)]
+                state = state[systematic(weight, len(weight), rng)]
                 log_weight = np.zeros(len(state))
             else:
                 log_weight = log_weight - top
@@ -442,13 +443,6 @@ def _summary(state: Array, weight: Array, push: float) -> tuple[Any, ...]:
     rank = np.cumsum(weight[order])
     interval = np.interp([0.025, 0.975], rank - weight[order] / 2, contact[order, 0])
     return *mean, *sd, interval, middle, path_sd
-
-
-def _resampled(weight: Array, rng: np.random.Generator) -> Index:
-    """Systematic resampling: each state as often as its weight says, to within one."""
-    count = len(weight)
-    places = (np.arange(count) + rng.random()) / count
-    return np.minimum(np.searchsorted(np.cumsum(weight), places), count - 1)
 
 
 def _checked(push_angle: ArrayLike, moment: ArrayLike) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .values import Array, Flags, Index, Seed
+from .values import Array, Flags, Seed
 
 if TYPE_CHECKING:
     import emcee
@@ -193,15 +193,17 @@ def sample_stacked(
     """
     import emcee
 
-    places = _checked_start(start)
+    places = np.asarray(start, dtype=float)
     rng = np.random.default_rng(seed)
     count, ensembles, walkers, dim = places.shape
     alive = np.arange(count)
 
     def density(rows: Array) -> Array:
         x = rows.reshape(len(alive), -1, dim)
-        out = log_density(x, alive) if indexed else log_density(x)
-        return _checked_density(out, x, alive).ravel()
+        out = np.asarray(log_density(x, alive) if indexed else log_density(x), dtype=float)
+        if not np.max(out) < np.inf:  # or NaN
+            raise ValueError("A log-density is NaN or +inf; return -inf where the density is zero.")
+        return out.ravel()
 
     def columns(rows: Array) -> Array:
         """Steps (n, rows, D) as functions or coordinates, (B, E, n, W, C)."""
@@ -272,41 +274,6 @@ def _judged(chain: Array, steps: int, stuck: Flags, precision: float, every: boo
     fault[asked] |= Shortfall.RHAT * ~(rhats[asked] < RHAT).all(axis=1)
     sd, made = np.sqrt(variance), np.full(len(chain), steps)
     return StackedSample(values, mean, sd, mcse_mean, mcse_sd, rhats, fault, made)
-
-
-def _checked_start(start: ArrayLike) -> Array:
-    """`start` as (B, E, W, D), refused where emcee would go wrong without a word."""
-    places = np.asarray(start, dtype=float)
-    _, ensembles, walkers, dim = places.shape if places.ndim == 4 else (0, 0, 0, 0)
-    shaped = ensembles >= 4 and walkers % 2 == 0 and walkers >= 2 * dim + 2 and places.size
-    if not shaped or not np.isfinite(places).all():
-        raise ValueError(
-            "start must be finite and of shape (B, E, W, D), with E ≥ 4 ensembles of an even "
-            f"number of walkers, at least 2 D + 2, got {places.shape}; 16 walkers are usual."
-        )
-    if (np.linalg.matrix_rank(places - places.mean(axis=2, keepdims=True)) < dim).any():
-        raise ValueError(
-            "The walkers of an ensemble must differ in every direction, or they never leave the "
-            "line or plane they start on; scatter them."
-        )
-    return places
-
-
-def _checked_density(value: ArrayLike, points: Array, index: Index) -> Array:
-    """The log-density as (b, N), refused where it is NaN, +inf or of another shape."""
-    out = np.asarray(value, dtype=float)
-    if out.shape != points.shape[:2]:
-        raise ValueError(
-            f"The log-density must have shape {points.shape[:2]} for points of shape "
-            f"{points.shape}, got {out.shape}; return one value for each point."
-        )
-    if not np.max(out) < np.inf:
-        bad = tuple(np.argwhere(~(out < np.inf))[0])
-        raise ValueError(
-            f"The log-density of posterior {index[bad[0]]} is {out[bad]} at "
-            f"{points[bad].tolist()}; return -inf where the density is zero."
-        )
-    return out
 
 
 # -- ArviZ -----------------------------------------------------------------------------------------

@@ -9,6 +9,8 @@ import numpy as np
 from .._util.values import Array, Flags, Index
 from .weighted import Leaves
 
+__all__ = ["Descent", "Pairs"]
+
 if TYPE_CHECKING:
     from .tree import Level, Tree
 

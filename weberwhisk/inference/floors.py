@@ -17,6 +17,8 @@ from ..receptors import GeneralisedWeber, Joint, ReceptorNoise
 from ..whisker import Whisker
 from .coordinates import ContactCoordinates
 
+__all__ = ["check_noise", "default_noise", "with_floors"]
+
 #: Floor of the noise of a signal that changes sign, over the signal's usual magnitude.
 FLOOR_SHARE = 0.01
 #: Signals of one sign at every contact; `axial_force` too without curvature and friction.

@@ -23,6 +23,8 @@ from .observer import Observer
 from .tree import DROP, Tree, tree_of
 from .weighted import OVER, Spans, Sums, extrapolated, interpolate, mixed, resampled
 
+__all__ = ["SCORES", "LayeredSums", "Layers"]
+
 #: By how much sums over every other node are worse. Along a friction they converge as sums over a
 #: density with kinks do: a third of 6.7e-3 where 2.2e-3 was missed.
 COARSER = 3.0
@@ -36,10 +38,7 @@ ROUGH = 5e-3
 
 @dataclass(eq=False)
 class _Node:
-    """What is known at one node of all layers: of each reading ln of the evidence and moments.
-
-    Of readings that have next to no mass there, ln of the evidence is a guess alone.
-    """
+    """Evidence and moments of all readings at one node; a guess alone where there is no mass."""
 
     log: Array
     guess: Array
@@ -81,13 +80,7 @@ class Layers:
 
 
 class LayeredSums:
-    """Posteriors of B readings as sums over nodes, at each of which there are weighted cells.
-
-    Attributes
-    ----------
-    mean, sd, error, log_evidence, best
-        As of `weighted.Sums`.
-    """
+    """As `weighted.Sums`, of B readings at nodes, at each of which there are weighted cells."""
 
     def __init__(
         self, layers: Layers, readings: Array, covariance: Array | None, drop: float
@@ -163,15 +156,11 @@ class LayeredSums:
     def _bound(
         self, keys: list[Index], rows: Index, halvings: Index, before: Index
     ) -> dict[tuple[int, ...], tuple[Flags, Array]]:
-        """Whether new nodes have next to no mass, by those of twice the step, for each reading.
-
-        And the mean ln of the evidence of those.
-
-        Between nodes ln of the evidence may be higher than at them by an eighth of its second
-        difference, as a parabola is; twice that is allowed for.
-        """
+        """Whether new nodes have next to no mass, by their neighbours, and the evidence there."""
         old = self._keys(halvings)
         log = self._table(old, rows, "guess")
+        # Between nodes it may be higher by an eighth of its second difference, as a parabola is:
+        # twice that is allowed for.
         rise = np.zeros_like(log)
         for d, axis in enumerate(self.axes):
             if axis.around:
@@ -215,11 +204,7 @@ class LayeredSums:
         return np.asarray(self.layers.tree(key).glimpse(readings, covariance) + slope)
 
     def _ask(self, key: tuple[int, ...], rows: Index, best: Array) -> None:
-        """Sum over the cells at a node; `best` is ln of the evidence at another, which ends it.
-
-        Far from their mass readings are improbable, and cells that could still give them are small
-        and many.
-        """
+        """Sum over the cells at a node, where they may have mass beside the `best` other node."""
         node, (readings, covariance, slope) = self.nodes[key], self._asked(key, rows)
         least = best - 2 * self.drop
         found = self.layers.tree(key).sums(
@@ -299,10 +284,7 @@ class LayeredSums:
     # -- quantiles and draws -----------------------------------------------------------------------
 
     def _refine(self, rows: Index, rough: Any) -> None:
-        """Halve nodes of readings whose conditional posteriors are too `rough` between them.
-
-        Sums of moments converge sooner than what is interpolated between nodes.
-        """
+        """Halve nodes of readings whose conditional posteriors are too `rough` between them."""
         while rows.size:
             left = []
             for halvings in np.unique(self.halvings[rows], axis=0):
@@ -357,10 +339,7 @@ class LayeredSums:
         return out
 
     def _box(self, row: int) -> tuple[list[Index], Array]:
-        """The nodes about the mass of one reading, along each axis, and ln of the evidence there.
-
-        Of a circle from the node opposite to the best on.
-        """
+        """The nodes about the mass of one reading along each axis, and ln of the evidence there."""
         keys = self._keys(self.halvings[row])
         log = self._table(keys, np.array([row]), "log")[..., 0]
         log = np.nan_to_num(log, nan=-np.inf)
@@ -368,7 +347,7 @@ class LayeredSums:
         out = []
         for d, axis in enumerate(self.axes):
             own = keys[d]
-            if axis.around:
+            if axis.around:  # from the node opposite to the best on
                 shift = len(own) // 2 - int(best[d])
                 log = np.roll(log, shift, axis=d)
                 step = own[1] - own[0]

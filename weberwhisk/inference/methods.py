@@ -143,10 +143,7 @@ def _cut_off(observer: Observer, solution: Solution) -> Flags:
 
 
 def _of_no_contact(observer: Observer, reading: Array) -> Flags:
-    """Readings (B, R) that are zero wherever noise only grows with the signal: no contact's.
-
-    Such noise has no zeros but of a signal that is zero, and not all are but without deflection.
-    """
+    """Readings (B, R) that are zero wherever noise grows with the signal alone: no contact's."""
     noise, size = observer.noise, len(observer.cue.signal_names)
     if not noise.reads_signals or noise.is_categorical or reading.shape[1] != size:
         return np.zeros(len(reading), dtype=bool)
@@ -316,13 +313,7 @@ def pieces_of(observer: Observer) -> list[Observer]:
 
 
 class PiecewiseSums:
-    """Posteriors under a prior that leaps: mixtures of those of its pieces.
-
-    Attributes
-    ----------
-    mean, sd, error, log_evidence, best
-        As of `weighted.Sums`.
-    """
+    """As `weighted.Sums`, under a prior that leaps: mixtures of those of its pieces."""
 
     def __init__(self, observer: Observer, parts: list[Any]) -> None:
         self.observer, self.parts = observer, parts

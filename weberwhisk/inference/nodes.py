@@ -12,20 +12,15 @@ from ..mechanics.contact import Outcome
 from .coordinates import from_normal, is_all_around
 from .observer import Evaluated, Observer, near_azimuth
 
+__all__ = ["HALVINGS", "TURN", "Axis", "Conditional"]
+
 #: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
 HALVINGS = 6
 FIRST, FARTHEST, TURN = 1.2, 4, 16
 
 
 class Conditional:
-    """An observer whose further unknowns are given: what a tree asks of one.
-
-    Parameters
-    ----------
-    observer : Observer
-    further : tuple of float
-        Values of the unknowns that have priors alone, in their order.
-    """
+    """An observer whose `further` unknowns, those with priors alone, have given values."""
 
     def __init__(self, observer: Observer, further: tuple[float, ...]) -> None:
         self.observer, self.further = observer, further

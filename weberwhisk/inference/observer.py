@@ -23,6 +23,8 @@ from ..whisker import Whisker
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
 from .floors import check_noise, default_noise
 
+__all__ = ["Evaluated", "Observer", "near_azimuth"]
+
 #: Fractions of the ranges of distance and angle between which trees look for contacts.
 ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
 

@@ -27,6 +27,8 @@ from .result import held_prior
 from .tree import DROP, TOLERANCE, tree_of
 from .weighted import Leaves, Sums, mixed
 
+__all__ = ["OneDistance", "ReadingGroup", "one_distance", "quantiles_of", "shared_unknowns"]
+
 
 class ReadingGroup(NamedTuple):
     """Readings (n, R) of one observer, covariances of their errors, and the set of each, (n,)."""
@@ -39,21 +41,10 @@ class ReadingGroup(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OneDistance:
-    """The posterior of one distance.
+    """The posterior of one distance, m; NaN where the readings have none in common.
 
-    Attributes
-    ----------
-    mean, sd : float
-        m; NaN where the readings have no distance in common.
-    r, density : array
-        Density of the distance, 1/m, at distances, m.
-    log_evidence : float
-    error : float
-        Of means and sds, in sds.
-    shared : tuple
-        Mean, sd and best value of the shared unknown; empty without one.
-    worse : float
-        By how many nats the most probable distance is worse for any reading than its own best.
+    `error` is of means and sds, in sds; `shared` has mean, sd and best value of a shared unknown;
+    at the most probable distance some reading is `worse` by so many nats than at its own best.
     """
 
     mean: float = np.nan
@@ -88,18 +79,11 @@ def one_distance(
 ) -> list[OneDistance]:
     """The posteriors of the distances of `count` sets of readings.
 
-    Parameters
-    ----------
-    groups : sequence of ReadingGroup
-        Of one observer each, all of which reach as far; a set may have readings of several.
-    count : int
-    spans : array, optional
-        How far up to the largest angle the angles of a set may go, as a share: with a span s
-        shares u have the density exp(−(u/s)⁴), and each span is as likely. By default, and where
-        the angle has a prior, angles are as the observer has them.
-    exponent : array, shape (count,), optional
-        The power to which the likelihood of each set is taken: below 1 where its readings have
-        noise in common.
+    Groups are of one observer each, all of which reach as far; a set may have readings of several.
+    `spans` say how far up to the largest angle the angles of a set may go, as a share: with a span
+    s shares u have the density exp(−(u/s)⁴), and each span is as likely. By default, and where the
+    angle has a prior, angles are as the observer has them. `exponent` (count,) is the power to
+    which the likelihood of a set is taken: below 1 where its readings have noise in common.
     """
     power = np.ones(count) if exponent is None else exponent
     prior = groups[0].observer.prior.get("radial_distance")
@@ -188,10 +172,7 @@ def _parts(
 
 
 def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
-    """ln of the density of each reading over the first coordinate, for each span of the angles.
-
-    It integrates to the evidence.
-    """
+    """ln of the joint density of each reading and the first coordinate, for each span of angles."""
     observer: Any = found.observer
 
     def within(leaves: Leaves) -> Array:

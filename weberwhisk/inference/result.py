@@ -22,6 +22,12 @@ from ..receptors import ReceptorNoise, Seed
 from .coordinates import UNITS, ContactCoordinates, from_normal
 from .observer import Observer
 
+__all__ = [
+    "Estimate", "Posterior", "Solution", "Status", "beyond_reach", "contact_slope",
+    "distance_prior", "held_prior", "is_improbable", "is_outside", "is_unidentified",
+    "refuse_impossible",
+]  # fmt: skip
+
 #: A reading this many sd from the signals is improbable under the model.
 IMPROBABLE = 5.0
 
@@ -286,10 +292,8 @@ class Solution(NamedTuple):
 def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Estimate]) -> Flags:
     """Readings (B, R) that may be of a tip beyond where it is at rest, which no observer knows.
 
-    Pushed against its curvature a whisker is straightened; one that is straight or pushed along
-    its curvature slips off at its reach. Such a reading has no contact of its own, and a posterior
-    up against the reach: its mean was 3 sd short, in space 5. There no inverse tells: all that have
-    not fallen off before they come to the reach are taken for such, where it is pushed straight.
+    Pushed against its curvature a whisker is straightened. Such a reading has no contact of its
+    own, and a posterior up against the reach: its mean was 3 sd short, in space 5.
     """
     out = np.zeros(len(reading), dtype=bool)
     forward, end = observer.forward, observer.reach[1]
@@ -303,7 +307,7 @@ def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Est
     contact = np.stack([np.atleast_1d(e.mean)[near] for e in estimates.values()], axis=-1)
     forward = observer.cue.forward(observer.whisker, contact)
     straightened = forward.limit(np.full(len(contact), 0.999 * forward.reach)) > 0.05
-    if not in_space and straightened.any():
+    if not in_space and straightened.any():  # in space there is no inverse
         straightened &= observer.reading_outcome(reading[near]) == Outcome.OUT_OF_REACH
     out[near] = straightened
     return out

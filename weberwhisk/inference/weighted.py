@@ -18,6 +18,11 @@ from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 
+__all__ = [
+    "OVER", "Leaves", "Spans", "Sums", "density_of_distance", "extrapolated", "interpolate",
+    "mixed", "resampled", "systematic",
+]  # fmt: skip
+
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
 #: The share of an sd by which a Gaussian's quantiles are so off is 1e-4 and 4e-4.
 PARTS = 16, 4
@@ -73,10 +78,14 @@ class Spans(NamedTuple):
 
 def resampled(log_weight: Array, count: int, rng: np.random.Generator) -> Index:
     """Which (count,) of proposals to keep, by importance, given ln of their weights (n,)."""
-    weight = np.exp(log_weight - log_weight.max())
+    return rng.permutation(systematic(np.exp(log_weight - log_weight.max()), count, rng))
+
+
+def systematic(weight: Array, count: int, rng: np.random.Generator) -> Index:
+    """Systematic resampling: each of `weight` (n,) as often as it says, to within one, (count,)."""
     rise = np.cumsum(weight) / weight.sum()
-    wanted = (np.arange(count) + rng.random()) / count  # systematic resampling
-    return rng.permutation(np.minimum(np.searchsorted(rise, wanted), len(rise) - 1))
+    places = (np.arange(count) + rng.random()) / count
+    return np.minimum(np.searchsorted(rise, places), len(rise) - 1)
 
 
 class Sums:
@@ -221,10 +230,7 @@ class Sums:
                 yield self._spans_of_angle(some, stride)
 
     def _spans_of_angle(self, leaves: Leaves, stride: int) -> Spans:
-        """Spans of the second unknown, which depends on both coordinates: of finer cells.
-
-        The mass of each is spread evenly from the least to the most that it has at its corners.
-        """
+        """Spans of the second unknown, which depends on both coordinates: of finer cells."""
         step, n = leaves.step, len(leaves.rows)
         owner = leaves.owner
         top = np.maximum.reduceat(leaves.log, leaves.first)
@@ -284,10 +290,7 @@ class Sums:
 
 
 def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans:
-    """Spans of the cells between points (n, I, J), whose mass is spread evenly over values there.
-
-    Of cells all of whose corners are inside.
-    """
+    """Spans of cells all of whose corners (n, I, J) are inside, from least to most value there."""
     n, i, j = inside.shape
     corners = [
         (slice(None), slice(a, i - 1 + a), slice(b, j - 1 + b))
