@@ -170,7 +170,7 @@ def follow(
 def _of_moment(whisker: Any, cue: Cue | None, known: bool = False) -> Cue:
     """The cue, if it is one of the moment at an unknown angle, with nothing else where `known`."""
     if not isinstance(whisker, Profile):
-        kind("whisker", whisker, "a Whisker", "taper", "write Whisker(50e-3, 100e-6, 5e-6), say")
+        kind("whisker", whisker, "a Whisker", "taper", "write ww.Whisker(50e-3, 100e-6, 5e-6), say")
     refuse_hinge(whisker, "A sweep")
     cue = ForceMap("moment") if cue is None else cue
     own = ("radial_distance", "deflection_angle")
@@ -182,7 +182,8 @@ def _of_moment(whisker: Any, cue: Cue | None, known: bool = False) -> Cue:
     ):
         raise ValueError(
             f"A sweep is followed by its moment{', all else being known' * known}, got {cue!r}; "
-            'write ForceMap("moment"), or Friction(ForceMap("moment"), -0.3).'
+            'write ww.cues.ForceMap("moment"), or '
+            'ww.cues.Friction(ww.cues.ForceMap("moment"), -0.3).'
         )
     return cue
 

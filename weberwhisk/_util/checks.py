@@ -182,8 +182,8 @@ def refuse_hinge(whisker: Any, what: str) -> None:
     if stiffness is not None:
         raise ValueError(
             f"{what} takes whiskers with a clamped base, got hinge_stiffness {stiffness:g} N m/rad;"
-            " write hinge_stiffness=None, or Observer(whisker, cue) with the cue ForceMap(), "
-            "Compliance() or BalanceOfMoments()."
+            " write hinge_stiffness=None, or ww.Observer(whisker, cue) with the cue "
+            "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments()."
         )
 
 

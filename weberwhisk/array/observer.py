@@ -97,7 +97,7 @@ class ArrayObserver(Fields):
     region: ArrayLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        kind("array", self.array, "a WhiskerArray", "protract", 'write WhiskerArray("rat"), say')
+        kind("array", self.array, "a WhiskerArray", "protract", 'write ww.WhiskerArray("rat"), say')
         angle("angle_sd", non_negative_number("angle_sd", self.angle_sd, _RADIANS), _RADIANS)
         if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
             raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")

@@ -57,7 +57,9 @@ def place(
     >>> len(found.touching), found.status.name, bool(found.credibility([20e-3, 5e-3]) < 0.95)
     (3, 'CONVERGED', True)
     """
-    checks.kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
+    checks.kind(
+        "observer", observer, "an ArrayObserver", "sensors", "write ww.ArrayObserver(array)"
+    )
     evidence, box, rng = observer.log_likelihood(readings), observer.box, checks.generator(seed)
     frame, some = Frame.of_box(box), np.empty((0, 2))
     if evidence.touched:

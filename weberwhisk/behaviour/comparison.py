@@ -95,7 +95,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     if not isinstance(fits, Mapping):
         raise ValueError(
             f"fits must be a mapping of names to fits, got {checks.shown(fits)}; write "
-            "compare({'one': fit, 'two': other})."
+            "ww.compare({'one': fit, 'two': other})."
         )
     for name, fit in fits.items():
         check_fit(fit, f"the fit {name!r}")

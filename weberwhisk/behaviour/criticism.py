@@ -51,7 +51,9 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     """
     rows = Answers.of(fit)
     if not columns:
-        raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
+        raise ValueError(
+            "no column was named; write ww.behaviour.residuals_by(fit, 'session'), say."
+        )
     for column in columns:
         one_of("column", column, map(str, rows.frame.columns))
     p = _expected(fit, rows).mean(axis=0)

@@ -69,14 +69,14 @@ class CueEncoding(Fields):
     unit: float = 1.0
 
     def __post_init__(self) -> None:
-        hint = "write Observer(whisker, cues.Compliance()), say"
+        hint = "write ww.Observer(whisker, ww.cues.Compliance()), say"
         checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
         checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
         cue = self.observer.cue
         if self.observer.noise.is_categorical:
             raise ValueError(
                 f"{cue!r} reports events, all or none, which leave no two noisy signals to "
-                "compare; write cues.Compliance(), say."
+                "compare; write ww.cues.Compliance(), say."
             )
         if self.deflection_angle is not None:
             hint = "give radians, such as 0.2"
@@ -275,7 +275,7 @@ class PooledEncoding(Fields):
     offsets: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        hint = "write PooledEncoding.of_touches(observer, [0.1, 0.2]), say"
+        hint = "write ww.behaviour.PooledEncoding.of_touches(observer, [0.1, 0.2]), say"
         given = tuple(checks.several("looks", self.looks, hint))
         for look in given:
             checks.kind("a look", look, "a CueEncoding", "has_weber_fraction", hint)

@@ -174,7 +174,7 @@ def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None
 
 def checked_encoding(encoding: Any) -> None:
     """Refuse what is no `Encoding`."""
-    hint = "write IdentityEncoding(), say"
+    hint = "write ww.behaviour.IdentityEncoding(), say"
     checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
 
 

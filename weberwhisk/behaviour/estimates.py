@@ -306,7 +306,7 @@ class Estimates(Shown):
 
 def check_fit(fit: object, name: str = "fit") -> None:
     """Refuses what is not a fit of one observer."""
-    checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
+    checks.kind(name, fit, "a WeberFit", "posterior", "write ww.fit_weber(trials)")
 
 
 def tails(mass: float) -> tuple[float, float]:

@@ -119,7 +119,7 @@ def read_trials(
     _check_mapping("choice_labels", choice_labels, "{'L': 'first', 'R': 'second'}")
     checks.one_of("scale", scale, SCALES)
     if whisker is not None:
-        hint = "write Whisker.from_identity('C2'), say"
+        hint = "write ww.Whisker.from_identity('C2'), say"
         checks.kind("whisker", whisker, "a Whisker", "length", hint)
     named = None if task is None else task_named(task)
     if log_unit is not None:
@@ -217,7 +217,7 @@ def _choose_columns(
         if theirs in here:
             check.table[ours] = raw[theirs]
         else:
-            check.missing_column(theirs, here, f"mapped from {ours!r}")
+            check.missing_column(theirs, here, f"mapped from {ours!r}", ours)
     taken = set(mapping.values())
     for column in here:
         if column in NAMES and column not in check.table and column not in taken:
@@ -262,13 +262,15 @@ class TableCheck:
         rows = rows_in_words(self.table.index.to_numpy()[bad])
         self.problems.append(f"{self.name}, column {column!r}, {rows}: {sentence}")
 
-    def missing_column(self, column: str, here: list[str], why: str) -> None:
-        """A column that is not there, with the nearest that is."""
+    def missing_column(
+        self, column: str, here: list[str], why: str, ours: str | None = None
+    ) -> None:
+        """A column that is not there, with the nearest that is, and how one is mapped to `ours`."""
         near = get_close_matches(column, here, n=1, cutoff=0.5)
-        meant = f" (did you mean {near[0]!r}?)" if near else ""
+        meant = near[0] if near else "<its name>"
         self.problems.append(
-            f"{self.name}: there is no column {column!r}, {why}{meant}; the columns are "
-            f"{', '.join(here)}, and columns={{{column!r}: '<its name>'}} maps one."
+            f"{self.name}: there is no column {column!r}, {why}; the columns are "
+            f"{', '.join(here)}, and columns={{{(ours or column)!r}: {meant!r}}} maps one."
         )
 
     def raise_problems(self) -> None:

@@ -393,7 +393,8 @@ def build_model(
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
         raise ValueError(
             "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
-            "of angles is a constant; give receptors whose noise grows, receptors.Weber(0.1), say."
+            "of angles is a constant; give receptors whose noise grows, "
+            "ww.receptors.Weber(0.1), say."
         )
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
     by_name = {effect.name: effect.prior for effect in bound} | dict(further or {})

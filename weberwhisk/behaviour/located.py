@@ -115,7 +115,7 @@ def with_distances(
     check_trials(trials)
     if not isinstance(encoding, CueEncoding | PooledEncoding):
         raise ValueError(
-            "distances were given without a whisker; write observer=Observer(whisker, "
+            "distances were given without a whisker; write observer=ww.Observer(whisker, "
             "cue), and nominal distances in metres."
         )
     frame = trials.frame

@@ -90,7 +90,7 @@ def response_probability(
 
 
 def _check_observer(task: Task, encoding: Encoding, bias: ArrayLike, effects: Any) -> None:
-    checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
+    checks.kind("task", task, "a Task", "decide", "write ww.behaviour.task_named('2AFC'), say")
     checked_encoding(encoding)
     checks.finite("bias", bias, "write for example 0")
     check_valued(effects)

@@ -199,7 +199,7 @@ def simulate_trials(
         rng=rng,
     )
     if states is not None:
-        checks.kind("states", states, "States", "drawn", "write States(engaged=0.7)")
+        checks.kind("states", states, "States", "drawn", "write ww.behaviour.States(engaged=0.7)")
         if not chosen.has_bias:
             raise ValueError(
                 f"states need a task whose answers take a side, got task {task!r}; write "

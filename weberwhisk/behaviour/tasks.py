@@ -116,7 +116,9 @@ class PercentCorrect(Task):
     lapses: tuple[str, ...] = ("lapse_high",)
 
     def __post_init__(self) -> None:
-        checks.whole("alternatives", self.alternatives, "write PercentCorrect(3), say", least=2)
+        checks.whole(
+            "alternatives", self.alternatives, "write ww.behaviour.PercentCorrect(3), say", least=2
+        )
 
     @property
     def name(self) -> str:  # type: ignore[override]

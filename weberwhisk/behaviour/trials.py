@@ -101,12 +101,14 @@ class Trials(Line):
     rows: Index | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        hint = "make it with read_trials, which takes a table under any names"
+        hint = "make it with ww.read_trials, which takes a table under any names"
         checks.kind("frame", self.frame, "a DataFrame", "columns", hint)
         lacking = [c for c in COLUMNS if c not in self.frame]
         if lacking:
             raise ValueError(f"frame has no column {', '.join(map(repr, lacking))}; {hint}.")
-        checks.kind("task", self.task, "a Task", "decide", "write task_named('2AFC'), say")
+        checks.kind(
+            "task", self.task, "a Task", "decide", "write ww.behaviour.task_named('2AFC'), say"
+        )
         checks.one_of("scale", self.scale, SCALES)
         n, count = (self.frame[c].to_numpy(float) for c in ("n", "count"))
         wrong = ~np.isfinite(n) | (n < 0) | (n != np.round(n)) | (count < 0) | (count > n)
@@ -188,7 +190,10 @@ class Trials(Line):
             keep &= self.frame[column].isin(list(values)).to_numpy()
         if not keep.any():
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
-            raise ValueError(f"{self.source}: no trials have {words}; choose values that occur.")
+            known = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
+            raise ValueError(
+                f"{self.source}: no trials have {words}; choose values that occur: {known}."
+            )
         known = notes_of(self.frame, self.rows)
         others = (note for note in self.notes if note not in known)
         frame = self.frame.loc[keep].reset_index(drop=True)
@@ -280,11 +285,11 @@ def rows_in_words(rows: ArrayLike) -> str:
 
 def check_trials(trials: Any) -> None:
     """Refuses what is not a table of trials, with the line that makes one."""
-    made = "read_trials('file.csv')"
+    made = "ww.read_trials('file.csv')"
     if isinstance(trials, str | Path):
-        made = f"read_trials({str(trials)!r})"
+        made = f"ww.read_trials({str(trials)!r})"
     elif isinstance(trials, pd.DataFrame):
-        made = "read_trials(table)"
+        made = "ww.read_trials(table)"
     checks.kind("trials", trials, "Trials", "cells", f"write {made}")
 
 

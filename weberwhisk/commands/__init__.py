@@ -178,7 +178,7 @@ _SHARED: dict[str, Any] = {
 _CALLED = {"as_json": "json", "comparison": "compare", "columns": "column", "units": "unit"}
 #: Remedies of the library, and how they are written here.
 _REMEDIES = (
-    (r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'"),
+    (r"columns=\{'(\w+)': '([^']+)'\}", r"--column \1='\2'"),
     (r'columns=\{"(\w+)": "([^"]+)"\}', r"--column \1='\2'"),
     (r'columns=\{"(\w+)": …\}', r"--column \1='<its name>'"),
     (r"columns key", "--column"),
@@ -189,6 +189,8 @@ _REMEDIES = (
     (r"choice_labels", "--label"),
     (r"\bidentity=(\d+)", r"--label \1"),
     (r"read_tracking\(shortest_px=…\)", "--shortest-px"),
+    (r"ww\.tracked_signals\(ww\.read_tracking\(file, (.*?)\), whisker\),", r"\1"),
+    (r"pixels_per_mm=20, frame_rate=500", "--pixels-per-mm 20 --frame-rate 500"),
     (r"priors=\{'lapse_low': scipy\.stats\.beta\(([\d.]+), ([\d.]+)\)[^}]*\}",
      r"--lapse-prior \1,\2"),
     (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
@@ -437,7 +439,8 @@ def with_options(sentence: str, names: Iterable[str] = _NAMES) -> str:
     """A sentence of the library, its parameters and remedies as they are typed here."""
     for python, typed in _REMEDIES:
         sentence = re.sub(python, typed, sentence)
-    named = rf"""\b({"|".join(names)})=("[^"]*"|'[^']*'|[\w.-]+)"""
+    # Not a column's key, nor an argument within a call such as lognorm(1, scale=0.1).
+    named = rf"""(?<!, )(?<!\()(?<!--column )\b({"|".join(names)})=("[^"]*"|'[^']*'|[\w.-]+)"""
     return re.sub(named, _as_option, sentence)
 
 

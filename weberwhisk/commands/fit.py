@@ -261,6 +261,12 @@ def _fit_together(
 def _selected(
     trials: ww.Trials, subject: str | None, session: str | None, together: bool = False
 ) -> ww.Trials:
+    for name, value in (("subject", subject), ("session", session)):
+        if value is not None and name not in trials.frame:
+            raise ValueError(
+                f"{trials.source}: there is no column {name!r}; leave --{name} out, or name it "
+                f"with --column {name}='<its name>'."
+            )
     if subject is not None:
         own = [one for one in trials.subjects if str(one) == subject]  # "1" is a number there
         trials = trials.select(subject=own or subject)
@@ -271,11 +277,6 @@ def _selected(
             f"--subject {shlex.quote(str(trials.subjects[0]))}, or --together for all."
         )
     if session is not None:
-        if not trials.sessions:
-            raise ValueError(
-                f"{trials.source}: there is no column 'session'; leave --session out, or name it "
-                "with --column session='<its name>'."
-            )
         wanted = _sessions(session)
         numeric = all(isinstance(s, int) for s in trials.sessions)
         trials = trials.select(session=wanted if numeric else list(map(str, wanted)))

@@ -149,7 +149,7 @@ class BalanceOfMoments(Cue):
         if not isinstance(self.curve, MuscleCurve):
             raise ValueError(
                 f"curve must be a MuscleCurve, got {shown(self.curve)}; "
-                "write MuscleCurve.NORMALISED."
+                "write ww.mechanics.MuscleCurve.NORMALISED."
             )
         effort = self.effort
         if effort is not None:

@@ -152,8 +152,8 @@ class ForceMap(Cue):
             contact = ordered._solve(whisker, wanted[..., order], steps)
         else:
             raise ValueError(
-                f"There is no unique contact for the signals of {self!r}; write posterior(), "
-                "which needs none."
+                f"There is no unique contact for the signals of {self!r}; write "
+                "ww.posterior(observer, reading), which needs none."
             )
         lost = np.isnan(contact[..., 0])
         return contact, np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)

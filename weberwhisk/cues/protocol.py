@@ -138,13 +138,15 @@ class Cue(Value):
 
 def straight(
     whisker: Any,
-    instead: str = "cues.ForceMap(), Compliance() or BalanceOfMoments(), which take curved ones",
+    instead: str = "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments(), "
+    "which take curved ones",
 ) -> None:
     """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles."""
     if not isinstance(whisker, Whisker):
         raise ValueError(
             "This cue needs a Whisker, straight and without friction, got a "
-            f"{type(whisker).__name__}; write Whisker(50e-3, 100e-6, 5e-6), or take ForceMap()."
+            f"{type(whisker).__name__}; write ww.Whisker(50e-3, 100e-6, 5e-6), or take "
+            "ww.cues.ForceMap()."
         )
     refuse_hinge(whisker, "This cue")
     if np.any(whisker.curvature):
@@ -169,7 +171,7 @@ def readings(name: str, value: Any, count: int) -> Array:
 def a_cue(value: Any) -> Cue:
     """`value` if it is a cue, else a refusal in one sentence."""
     if not isinstance(value, Cue):
-        raise ValueError(f"A cue is needed, got {shown(value)}; write cues.ForceMap(), say.")
+        raise ValueError(f"A cue is needed, got {shown(value)}; write ww.cues.ForceMap(), say.")
     return value
 
 
@@ -237,14 +239,14 @@ class Fused(Cue):
     def __init__(self, *each: Cue, cues: Sequence[Cue] = ()) -> None:
         if not isinstance(cues, list | tuple):
             raise ValueError(
-                f"cues must be a list of cues, got {shown(cues)}; write Fused(Compliance(), "
-                "ForceMap()), say."
+                f"cues must be a list of cues, got {shown(cues)}; write "
+                "ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say."
             )
         cues = (*each, *cues)
         if len(cues) < 2:
             raise ValueError(
                 f"A fusion takes two cues or more, got {len(cues)}; "
-                "write Fused(Compliance(), ForceMap()), say."
+                "write ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say."
             )
         self._set(cues=tuple(map(a_cue, cues)))
 
@@ -342,7 +344,7 @@ class Fused(Cue):
         if len(noises) != len(self.cues):
             raise ValueError(
                 f"Each of the {len(self.cues)} cues needs one noise model, got {len(noises)}; "
-                "write fused.joint(Weber(0.1), Weber(0.05)), say."
+                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.05)), say."
             )
         return Joint(noises, [len(cue.signal_names) for cue in self.cues])
 

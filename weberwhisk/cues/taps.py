@@ -167,7 +167,8 @@ class Compliance(Cue):
         if self.tap_angle > 0 or not forward.is_plain:
             raise ValueError(
                 f"Equation (2.1) is of a light tap on a straight whisker, got {self!r} and "
-                f"{whisker}; write posterior(), which needs no inverse."
+                f"{whisker}; write ww.posterior(observer, reading), which "
+                "needs no inverse."
             )
         # What the hinge does not take up.
         bending = np.asarray(velocity) - forward.hinge_compliance * rate

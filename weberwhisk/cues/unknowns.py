@@ -48,7 +48,8 @@ class _Wrapped(Cue):
         if not self.cue.takes_curved:
             raise ValueError(
                 f"{self.cue!r} is for whiskers without friction whose shape is known; write "
-                "cues.ForceMap(), Compliance() or BalanceOfMoments(), or a fusion of them."
+                "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments(), or a "
+                "fusion of them."
             )
 
     @property
@@ -282,7 +283,7 @@ class UnknownHinge(_Wrapped):
         if not forward.is_hinged:
             raise ValueError(
                 "UnknownHinge needs a whisker on a hinge, got a clamped base; write "
-                "Whisker(..., hinge_stiffness=2e-5), the median of the prior in N m/rad."
+                "ww.Whisker(..., hinge_stiffness=2e-5), the median of the prior in N m/rad."
             )
         return float(forward.whisker.hinge_stiffness)
 
@@ -340,7 +341,8 @@ class UnknownRoll(_Wrapped):
         if not isinstance(cue, SpaceMap):
             raise ValueError(
                 f"Only a SpaceMap informs of the roll, got {shown(cue)}; write "
-                "UnknownRoll(SpaceMap(), 0.3), and a known roll as SpaceMap(roll=0.3)."
+                "ww.cues.UnknownRoll(ww.cues.SpaceMap(), 0.3), and a known roll as "
+                "ww.cues.SpaceMap(roll=0.3)."
             )
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
 
@@ -425,7 +427,7 @@ class UnknownStiffness(_Wrapped):
         if isinstance(cue, UnknownRoll):
             raise ValueError(
                 f"{cue!r} has four unknowns, and sums over five take too long; give the "
-                "stiffness, or the roll as UnknownStiffness(SpaceMap(roll=0.3))."
+                "stiffness, or the roll as ww.cues.UnknownStiffness(ww.cues.SpaceMap(roll=0.3))."
             )
         if soft_signals is None:
             # The signals of a fusion are numbered where a name comes twice.

@@ -399,7 +399,7 @@ def _sites(
         raise ValueError(
             f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can be "
             f"encoded, which ends at {high:g}, {low - high:.3g} before it begins; give "
-            "Constraints(nearest=..., farthest=...)."
+            "ww.design.Constraints(nearest=..., farthest=...)."
         )
     at = np.unique(limits.positions(np.linspace(low, high, places + 2)[1:-1]))
     out = []

@@ -164,8 +164,9 @@ def plan_experiment(
     asked = question or ("whiskers" if aim.half_width is None else "precision")
     if (asked == "precision") != (aim.half_width is not None):
         raise ValueError(
-            f"The question {asked!r} is not answered by {aim}; write Goal(half_width=0.2) for a "
-            "precision, Goal(bayes_factor=10) for the others."
+            f"The question {asked!r} is not answered by {aim}; write "
+            "ww.design.Goal(half_width=0.2) for a precision, "
+            "ww.design.Goal(bayes_factor=10) for the others."
         )
     if hypotheses is None:
         given = _hypotheses(shape, asked, cue, deflection_angle, task, standards)

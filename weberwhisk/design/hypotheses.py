@@ -71,7 +71,9 @@ class Hypothesis(Fields):
 
     def __post_init__(self) -> None:
         checked_encoding(self.encoding)
-        checks.kind("priors", self.priors, "Priors", "moments", "give Priors(...), or leave it")
+        checks.kind(
+            "priors", self.priors, "Priors", "moments", "give ww.behaviour.Priors(...), or leave it"
+        )
         checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
             raise ValueError(
@@ -217,7 +219,7 @@ def cues(
 
 
 def _check_whisker(whisker: Whisker) -> None:
-    hint = "write Whisker.from_identity('C2'), say"
+    hint = "write ww.Whisker.from_identity('C2'), say"
     checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
 
 
@@ -262,12 +264,16 @@ def noises(
 
 def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Hypotheses that can be compared: names differ, and the task is one."""
-    given = tuple(checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
+    given = tuple(checks.several("hypotheses", hypotheses, "write ww.design.taper(whisker), say"))
     for h in given:
-        checks.kind("a hypothesis", h, "a Hypothesis", "encoding", "write taper(whisker), say")
+        checks.kind(
+            "a hypothesis", h, "a Hypothesis", "encoding", "write ww.design.taper(whisker), say"
+        )
     names = [h.name for h in given]
     if not given:
-        raise ValueError("a design needs a hypothesis, got none; write taper(whisker), say.")
+        raise ValueError(
+            "a design needs a hypothesis, got none; write ww.design.taper(whisker), say."
+        )
     if len(set(names)) < len(names):
         raise ValueError(f"hypotheses need names of their own, got {names}; rename one.")
     if len({h.task for h in given}) > 1:
@@ -394,13 +400,13 @@ def check_goal(
     """
     given = check_distinct(hypotheses)
     aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
-    checks.kind("goal", aim, "a Goal", "share", "write Goal(half_width=0.2), say")
+    checks.kind("goal", aim, "a Goal", "share", "write ww.design.Goal(half_width=0.2), say")
     if aim.bayes_factor is None:
         refuse_given_k(given, f"the goal is {aim}")
     elif len(given) < 2:
         raise ValueError(
             f"A Bayes factor compares two hypotheses, got {given[0].name!r} alone; give another, "
-            "or Goal(half_width=0.2)."
+            "or ww.design.Goal(half_width=0.2)."
         )
     return given, aim
 
@@ -433,7 +439,7 @@ def check_answers(trials: Trials, task: str, animals: int) -> None:
     ):
         raise ValueError(
             f"{trials.source}: the plan is of {task}, got trials of {asked}; write "
-            f"read_trials(table, task={task!r})."
+            f"ww.read_trials(table, task={task!r})."
         )
     if animals > 1 and not trials.subjects:
         raise ValueError(

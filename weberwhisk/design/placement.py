@@ -65,7 +65,9 @@ class TrialLog(Line):
 
     def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme, seed: int = 1) -> None:
         self.hypotheses = check_distinct(hypotheses)
-        checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
+        checks.kind(
+            "scheme", scheme, "a Scheme", "offsets", "write ww.design.lattice(encoding, 20e-3), say"
+        )
         self.scheme, self.seed = scheme, seed
         self._rows: list[tuple[float, float, float, float]] = []
         self._proposal: Proposal | None = None
@@ -249,7 +251,8 @@ class BayesianPlacer(TrialLog):
         self.goal = checks.one_of("goal", goal, GOALS)
         if goal == "hypothesis" and len(self.hypotheses) < 2:
             raise ValueError(
-                "one hypothesis cannot be distinguished from others; write taper(whisker), say."
+                "one hypothesis cannot be distinguished from others; write "
+                "ww.design.taper(whisker), say."
             )
         checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
         if width is not None:

@@ -191,7 +191,7 @@ def analyse(
     >>> analyse(trials, [tapered, cylindrical]).favoured(10)
     'tapered'
     """
-    checks.kind("trials", trials, "Trials", "frame", "write read_trials(file), say")
+    checks.kind("trials", trials, "Trials", "frame", "write ww.read_trials(file), say")
     if unit != 1.0:
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)

@@ -72,7 +72,7 @@ def plan_json(plan: Plan) -> str:
     ValueError
         For a plan that is made of something else than this package has: a cue of one's own, say.
     """
-    checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
+    checks.kind("plan", plan, "a Plan", "scheme", "write ww.plan_experiment(...), say")
     record = {
         "format": FORMAT,
         "version": VERSION,

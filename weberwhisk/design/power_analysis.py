@@ -169,7 +169,9 @@ def power(
     True
     """
     given, aim = check_goal(hypotheses, goal)
-    checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    checks.kind(
+        "scheme", scheme, "a Scheme", "offsets", "write ww.design.Scheme([20e-3], [-2e-3, 2e-3])"
+    )
     likely = SubjectPopulation() if expected is None else expected
     checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
     sizes: list[list[Any]] = []

@@ -84,7 +84,9 @@ def trial_lists(
     >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
     [10]
     """
-    checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    checks.kind(
+        "scheme", scheme, "a Scheme", "offsets", "write ww.design.Scheme([20e-3], [-2e-3, 2e-3])"
+    )
     checks.whole("trials_per_session", trials_per_session, "write 300, say")
     if not isinstance(seed, np.random.SeedSequence):
         checks.whole("seed", seed, "write 1, say", least=0)

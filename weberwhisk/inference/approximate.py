@@ -270,7 +270,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     if len(observer.unknowns) != 1:
         raise ValueError(
             f"Peaks are counted for one unknown, got {', '.join(observer.unknowns)}; "
-            "write posterior(observer, reading).interval()."
+            "write ww.posterior(observer, reading).interval()."
         )
     y = observer.checked_reading(reading)
     rows = y.reshape(-1, y.shape[-1])

@@ -150,7 +150,7 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
     if floored is not noise:
         added = floored.floors(size) > noise.floors(size)
         names = " and ".join(np.array(cue.signal_names)[added])
-        line = re.sub(r"\b(?=[A-Z]\w*\()", "receptors.", repr(floored)).replace("inf", "None")
+        line = re.sub(r"\b(?=[A-Z]\w*\()", "ww.receptors.", repr(floored)).replace("inf", "None")
         raise ValueError(
             f"The sign of {names} changes within this whisker's reach, where this noise would "
             f"be zero, got {noise!r}; write {line}."

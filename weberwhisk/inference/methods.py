@@ -91,7 +91,7 @@ def posterior(
     one_of("method", method, ("quadrature", "emcee", "laplace"))
     if tolerance is not None:
         tolerance = positive_number("tolerance", tolerance, "write 1e-3, say")
-    kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
+    kind("observer", observer, "an Observer", "checked_reading", "write ww.Observer(whisker, cue)")
     y = observer.checked_reading(reading, missing=True)
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])

@@ -111,14 +111,14 @@ class Observer(Fields):
     def __post_init__(self) -> None:
         if isinstance(self.cue, type) or not isinstance(self.cue, Cue):
             raise ValueError(
-                f"An observer needs a cue, got {shown(self.cue)}; write cues.Compliance(), say."
+                f"An observer needs a cue, got {shown(self.cue)}; write ww.cues.Compliance(), say."
             )
         if not (self.cue.takes_curved and isinstance(self.whisker, Whisker | Profile)):
             straight(self.whisker)
         if isinstance(self.noise, type) or not isinstance(self.noise, ReceptorNoise | None):
             raise ValueError(
                 f"An observer needs receptor noise, got {shown(self.noise)}; "
-                "write receptors.Weber(0.1), say."
+                "write ww.receptors.Weber(0.1), say."
             )
         fields = vars(getattr(self.whisker, "whisker", self.whisker))
         names = "length", "base_radius", "tip_radius", "youngs_modulus", "curvature"

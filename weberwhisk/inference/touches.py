@@ -126,7 +126,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     >>> print(f"{1e3 * found.sd:.1f} mm, stiffness {mean:.2f} ± {sd:.2f}")
     4.4 mm, stiffness 1.15 ± 0.40
     """
-    kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
+    kind("observer", observer, "an Observer", "checked_reading", "write ww.Observer(whisker, cue)")
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
     shared = shared_unknowns(observer)

@@ -78,7 +78,7 @@ def bend(
     arc = positive("arc_length", arc_length, _METRES)
     load = finite("force", force, _NEWTONS)
     tilt = friction(friction_angle)
-    hint = "write rod.bend(whisker, arc_length, force, direction, plane=...)"
+    hint = "write ww.mechanics.rod.bend(whisker, arc_length, force, direction, plane=...)"
     _refuse_roll(whisker, "bend", roll, hint)
     name = _model_of(whisker, model, tilt, known=MODELS[:3])
     if name in _STRAIGHT:
@@ -191,7 +191,7 @@ def flick_past(
     sides = finite("side", side, "write 1 or -1")
     if np.any(np.abs(sides) != 1):
         raise ValueError(f"side must be 1 or -1, got {np.ravel(sides)[0]:g}; write side=1.")
-    hint = "write press(..., roll=...) at growing deflection angles"
+    hint = "write ww.press(..., roll=...) at growing deflection angles"
     _refuse_roll(whisker, "flick_past", roll, hint)
     if _model_of(whisker, None, tilt) == "profile":
         bent: FlickPast = _module("profile").flick_past(whisker, r, tilt, side=sides)

@@ -194,7 +194,7 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
         raise ValueError(
             f"A model is chosen for cues of {', '.join(_SENSED)} with no more unknowns "
             f"(radial_distance, deflection_angle) than signals, got {', '.join(names)} for "
-            f"{', '.join(unknowns)}; write cue=weberwhisk.cues.ForceMap()."
+            f"{', '.join(unknowns)}; write cue=ww.cues.ForceMap()."
         )
     return names, unknowns == _UNKNOWNS[1]
 
@@ -345,7 +345,7 @@ def _shape_at_rest(observer: Any) -> str:
     law = f"Spiral(*rest_shape({named[1]!r}, {named[0]!r})){mirrored}"
     return (
         f"{named[1]} is taken as an arc; its measured shape at rest moves r by up to {off:.2g} "
-        f"JND: write Profile.of(whisker).curved({law})"
+        f"JND: write ww.mechanics.Profile.of(whisker).curved({law})"
     )
 
 

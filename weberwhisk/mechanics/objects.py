@@ -127,7 +127,7 @@ def sweep(
     >>> (s.bending.radial_distance * 1e3).round(2)
     array([  nan, 25.32, 26.25])
     """
-    kind("body", body, "an object", "corners", "write mechanics.peg(20e-3, 0.0)")
+    kind("body", body, "an object", "corners", "write ww.mechanics.peg(20e-3, 0.0)")
     profile = Profile.of(whisker)
     given = travel if rotation is None else rotation
     if given is None or (rotation is not None and travel is not None):

@@ -193,9 +193,21 @@ class Profile(Value):
     law: Law
 
     def __post_init__(self) -> None:
-        kind("whisker", self.whisker, "a Whisker", "stiffness", "write Profile.of(whisker)")
+        kind(
+            "whisker",
+            self.whisker,
+            "a Whisker",
+            "stiffness",
+            "write ww.mechanics.Profile.of(whisker)",
+        )
         refuse_hinge(self.whisker, "A Profile")
-        kind("law", self.law, "a Spiral or a Parabola", "turn", "write Spiral(20.0), say")
+        kind(
+            "law",
+            self.law,
+            "a Spiral or a Parabola",
+            "turn",
+            "write ww.mechanics.Spiral(20.0), say",
+        )
         tables = {name: finite(name, getattr(self, name), _METRES) for name in _TABLES}
         self._set(**tables)
 
@@ -204,7 +216,7 @@ class Profile(Value):
         """The profile of a linearly tapered whisker of constant curvature; a profile as it is."""
         if isinstance(whisker, Profile):
             return whisker
-        kind("whisker", whisker, "a Whisker", "taper", "write Whisker(50e-3, 100e-6, 5e-6), say")
+        kind("whisker", whisker, "a Whisker", "taper", "write ww.Whisker(50e-3, 100e-6, 5e-6), say")
         length, base, tip = np.broadcast_arrays(
             whisker.length, whisker.base_radius, whisker.tip_radius
         )
@@ -324,7 +336,7 @@ class Profile(Value):
         if len(self.arc) != 2:
             raise ValueError(
                 f"hollow() needs a whisker of one piece, got {len(self.arc) - 1}; "
-                "give the core's table to Profile.tabulated(core=...)."
+                "give the core's table to ww.mechanics.Profile.tabulated(core=...)."
             )
         if np.any(stop > self.whisker.length):
             raise ValueError(

@@ -137,7 +137,7 @@ def write_plan(
     ...     sorted(path.name for path in write_plan(plan, folder).glob("p*.csv"))
     ['planned_jnds.csv', 'planned_levels.csv', 'psychopy_s1_001.csv']
     """
-    checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
+    checks.kind("plan", plan, "a Plan", "scheme", "write ww.plan_experiment(...), say")
     with Run(out, "design", dict(inputs or {}), plan.seed) as run:
         fill(run, plan)
     assert run.out_dir is not None

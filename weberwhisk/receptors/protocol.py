@@ -220,7 +220,8 @@ class Joint(ReceptorNoise):
     sizes: Sequence[int]
 
     def __post_init__(self) -> None:
-        hint = "write Joint([Weber(0.1), Weber(0.5)], sizes=[1, 2]), say"
+        two = "[ww.receptors.Weber(0.1), ww.receptors.Weber(0.5)]"
+        hint = f"write ww.receptors.Joint({two}, sizes=[1, 2]), say"
         noises = tuple(several("noises", self.noises, hint))
         sizes = tuple(several("sizes", self.sizes, hint))
         if len(noises) != len(sizes) or not noises:

@@ -161,12 +161,14 @@ class SpikeCount(ReceptorNoise):
 
     def __post_init__(self) -> None:
         if self.slow is None and self.rapid is None:
-            raise ValueError("A population needs afferents, got none; write slow=Afferents(...).")
+            raise ValueError(
+                "A population needs afferents, got none; write slow=ww.receptors.Afferents(...)."
+            )
         for name in ("slow", "rapid"):
             if not isinstance(getattr(self, name), Afferents | None):
                 raise ValueError(
                     f"{name} must be Afferents, got {shown(getattr(self, name))}; "
-                    "write Afferents(75, 1e-8, 1e-5), say."
+                    "write ww.receptors.Afferents(75, 1e-8, 1e-5), say."
                 )
         for name in ("window", "rise_time"):
             hint = "write seconds, such as 0.05"

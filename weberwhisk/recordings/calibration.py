@@ -212,7 +212,7 @@ def calibrate(
     >>> bool(abs(found.noise.weber_fraction - 0.03) < 0.01), found.fits
     (True, True)
     """
-    checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
+    checks.kind("whisker", whisker, "a Whisker", "length", "write ww.Whisker.from_identity('C2')")
     checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
     draws = checks.whole("draws", draws, "write 20000, say", least=1000)
     r, y, by_velocity = _taps(table, whisker, columns, units, counts)

@@ -364,11 +364,16 @@ def signals_of(
         elif len(forces) > 1:
             cue = ForceMap(forces)
         else:
+            remedy = 'map them with columns={"moment": "M"}.'
+            if {"x", "y"} <= {*header}:
+                remedy = (
+                    "of a tracker's points write ww.tracked_signals(ww.read_tracking(file, "
+                    "pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
+                )
             raise ValueError(
                 f"No distance follows from the columns {checks.listed(header, 8)}, of which "
                 f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
-                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
-                'with columns={"moment": "M"}, or on the command line with --column moment=M.'
+                "deflection_angle and one of them, or moment_rate and angular_velocity; " + remedy
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
         if known is None:

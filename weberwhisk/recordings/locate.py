@@ -157,8 +157,8 @@ def locate(
     if isinstance(whisker, Calibration):
         if cue is not None or noise is not None:
             raise ValueError(
-                "A calibration has its own cue and noise; leave both out, or write "
-                "locate(table, c.whisker, cue=c.cue, noise=c.noise)."
+                "A calibration has its own cue and noise; leave both out, or write ww.locate("
+                "table, calibration.whisker, cue=calibration.cue, noise=calibration.noise)."
             )
         columns, units = ({n: v for n, v in (given or {}).items() if n != "radial_distance"}
                           for given in (columns, units))  # fmt: skip
@@ -177,7 +177,9 @@ def locate(
             )  # fmt: skip
 
         return averaged(whisker, located_by, progress)
-    checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
+    checks.kind(
+        "whisker", whisker, "a Whisker", "stiffness", "write ww.Whisker.from_identity('C2')"
+    )
     raw, si, found = read_contacts(table, columns, units)
     for name in (*RESULTS, MEASURED, OFF_BY, *(TOUCH_RESULTS if touch is not None else ())):
         if name in raw:
@@ -202,7 +204,7 @@ def locate(
                     "Six signals of a curved whisker do not say how its curvature lies; give "
                     "moment, axial_force and transverse_force in its plane, or a straight whisker; "
                     "of contacts one by one, write "
-                    "posterior(Observer(whisker, cues.SpaceMap()), readings)."
+                    "ww.posterior(ww.Observer(whisker, ww.cues.SpaceMap()), readings)."
                 )
             bow = None
         side = one_side(si, named, notes)

@@ -115,7 +115,7 @@ def tracked_signals(
     >>> video = ww.read_tracking("C2.whiskers", pixels_per_mm=20, frame_rate=500)  # doctest: +SKIP
     >>> ww.locate(ww.tracked_signals(video, w), w)  # doctest: +SKIP
     """
-    checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
+    checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write ww.Whisker(…)")
     profile = Profile.of(whisker)
     index: Any = getattr(tracking, "index", None)
     if isinstance(tracking, pd.DataFrame):

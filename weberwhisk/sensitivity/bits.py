@@ -187,7 +187,10 @@ def alone(observer: Observer) -> list[Observer]:
 
 def _fused(observer: Observer) -> Fused:
     if not isinstance(observer.cue, Fused):
-        raise ValueError(f"Only a fusion has parts, got {observer.cue!r}; write Fused(cue, other).")
+        raise ValueError(
+            f"Only a fusion has parts, got {observer.cue!r}; write "
+            "ww.cues.Fused(cue, ww.cues.ForceMap())."
+        )
     return observer.cue
 
 
@@ -201,7 +204,7 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
         if own is None:
             raise ValueError(
                 f"The noise must be given cue by cue, got {observer.noise!r}; "
-                "write fused.joint(Weber(0.1), Weber(0.1)), say."
+                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.1)), say."
             )
         noises.append(own)
     cue: Cue = fused.cues[kept[0]]

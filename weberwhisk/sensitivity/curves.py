@@ -367,7 +367,9 @@ def jnd_sweep(
     3            0.10                40.0           0.960
     """
     if not isinstance(whisker, Whisker):
-        raise ValueError(f"A sweep needs a Whisker, got {whisker!r}; write Whisker.from_identity.")
+        raise ValueError(
+            f"A sweep needs a Whisker, got {whisker!r}; write ww.Whisker.from_identity('C2'), say."
+        )
     fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
     if any(np.ndim(value) for value in fields.values()):
         raise ValueError(f"A sweep has one whisker, got {whisker!r}; give its fields as numbers.")

@@ -175,7 +175,7 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
         raise ValueError(
             "A signal without noise leaves no JND, got one in "
             f"{observer.noise!r} where the signal is 0; give it a floor, such as "
-            "receptors.GeneralisedWeber(0.1, floor=0.1)."
+            "ww.receptors.GeneralisedWeber(0.1, floor=0.1)."
         )
     unit = _contact_scale(contact)
     # In units of the noise and of the contact itself, so that singular means singular.
