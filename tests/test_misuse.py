@@ -42,7 +42,7 @@ TABLE = TRIALS.table()
 FIT = fit_weber(TRIALS)
 WHISKER = Whisker(50e-3, 100e-6, 5e-6)
 TASK, SELF = task_named("2AFC"), IdentityEncoding()
-A_WEBER_FIT = "must be a WeberFit, got .*; write fit_weber"
+A_WEBER_FIT = "must be a WeberFit, got .*; write ww.fit_weber"
 
 
 def simulated(**options: Any) -> Callable[[], object]:
@@ -59,12 +59,12 @@ def read(**options: Any) -> Callable[[], object]:
 
 MISUSES: list[tuple[Callable[[], object], str]] = [
     # Not a table of trials.
-    (lambda: fit_weber("file.csv"), r"got 'file.csv'; write read_trials\('file.csv'\)"),  # type: ignore[arg-type]
-    (lambda: fit_weber(TABLE), r"of type DataFrame; write read_trials\(table\)"),
-    (lambda: fit_population("a.csv"), r"write read_trials\('a.csv'\)"),  # type: ignore[arg-type]
-    (lambda: Trials(TABLE, TASK), "no column 'n', 'count'; make it with read_trials"),
+    (lambda: fit_weber("file.csv"), r"got 'file.csv'; write ww.read_trials\('file.csv'\)"),  # type: ignore[arg-type]
+    (lambda: fit_weber(TABLE), r"of type DataFrame; write ww.read_trials\(table\)"),
+    (lambda: fit_population("a.csv"), r"write ww.read_trials\('a.csv'\)"),  # type: ignore[arg-type]
+    (lambda: Trials(TABLE, TASK), "no column 'n', 'count'; make it with ww.read_trials"),
     (lambda: Trials(None, TASK), "frame must be a DataFrame, got None"),  # type: ignore[arg-type]
-    (lambda: Trials(TRIALS.frame, "2AFC"), r"write task_named\('2AFC'\)"),  # type: ignore[arg-type]
+    (lambda: Trials(TRIALS.frame, "2AFC"), r"write ww.behaviour.task_named\('2AFC'\)"),  # type: ignore[arg-type]
     (lambda: Trials(TRIALS.frame, TASK, "ln"), "scale 'ln' is unknown"),
     (lambda: Trials(TRIALS.frame.assign(count=5), TASK), "n = 1 and count = 5"),
     # Effects and priors.
@@ -79,9 +79,9 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: fit_population(ANIMALS, spread_prior=0.3), "spread must be a frozen continuous"),
     (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
     # Encodings, observers, whiskers.
-    (fitted(encoding="log"), r"got 'log'; write IdentityEncoding\(\)"),
-    (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
-    (lambda: ww.design.taper("C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
+    (fitted(encoding="log"), r"got 'log'; write ww.behaviour.IdentityEncoding\(\)"),
+    (fitted(observer="C2"), r"an Observer, got 'C2'; write ww.Observer\(whisker"),
+    (lambda: ww.design.taper("C2"), r"write ww.Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
     (lambda: ww.design.cues(WHISKER, "a"), "deflection_angle must be a number"),  # type: ignore[arg-type]
     (lambda: CueEncoding(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
     # Settings of a fit, and what is asked of it.
@@ -122,7 +122,7 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: threshold(TASK, SELF, 1, 0.75, weber_fraction=0), "above zero, got 0"),
     (
         lambda: response_probability(TASK, 3.0, 1.0, 1.1, weber_fraction=0.1),
-        "encoding must be an Encoding, got 3.0; write IdentityEncoding",
+        "encoding must be an Encoding, got 3.0; write ww.behaviour.IdentityEncoding",
     ),
     (
         lambda: response_probability(TASK, SELF, {}, 1.1, weber_fraction=0.1),

@@ -100,7 +100,7 @@ def test_noise_without_a_floor_is_refused_with_the_line_to_write(whisker, cue, n
     assert "\n" not in said
     assert repr(noise) in said
     size = len(cue.signal_names)
-    typed = eval(said.split("write ")[1].removesuffix("."), {"receptors": receptors})
+    typed = eval(said.split("write ")[1].removesuffix("."), {"ww": ww})
     assert Observer(whisker, cue, typed).noise == typed
     assert np.array_equal(typed.weber_fractions(size), noise.weber_fractions(size))
     default = default_noise(whisker, cue).floors(size)

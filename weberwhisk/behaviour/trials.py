@@ -190,9 +190,9 @@ class Trials(Line):
             keep &= self.frame[column].isin(list(values)).to_numpy()
         if not keep.any():
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
-            known = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
+            there = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
             raise ValueError(
-                f"{self.source}: no trials have {words}; choose values that occur: {known}."
+                f"{self.source}: no trials have {words}; choose values that occur: {there}."
             )
         known = notes_of(self.frame, self.rows)
         others = (note for note in self.notes if note not in known)
