@@ -266,7 +266,7 @@ class Covariate(Effect, Fields):
         if self.on == "bias" and not trials.task.has_bias:
             raise ValueError(
                 f"{trials.task.name} has no response bias that {self.of!r} could move; write "
-                f"Covariate({self.of!r}, on='weber_fraction')."
+                f"ww.behaviour.effects.Covariate({self.of!r}, on='weber_fraction')."
             )
         values = trials.frame[self.of]
         if values[trials.answered].isna().any():
