@@ -90,12 +90,16 @@ def all_advice() -> Iterator[tuple[str, str, str]]:
             work()
         for code in given_code(str(caught.value)):
             yield "said", code, str(caught.value)
+    for curved in (False, True):
+        c2 = ww.Whisker.from_identity("C2", curved=curved)
+        note = ww.Observer(c2, ww.cues.ForceMap()).note
+        yield from (("note", code, note) for code in given_code(note))
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a user has who meets a sentence: the imports of the README, and what it speaks of."""
-    whisker = ww.Whisker(50e-3, 100e-6, 5e-6)
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=0)
     observer = ww.Observer(whisker, ww.cues.Compliance())
     trials = ww.simulate_trials(trials_per_level=3, seed=1)
     fit = ww.fit_weber(trials)

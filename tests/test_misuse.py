@@ -214,5 +214,20 @@ def test_slips_of_units_are_hinted_at() -> None:
     tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
     with pytest.warns(UserWarning, match="in metres, got 25: did you pass millimetres.*25e-3"):
         ww.jnd_curve(tap, [20e-3, 25.0], seed=1)
+    with pytest.warns(UserWarning, match="in metres, got 20: did you pass millimetres.*20e-3"):
+        ww.press(tap.whisker, 20, 0.2)
     with pytest.raises(ValueError, match=r"sign and unit \(N m, N, rad\)"):
         ww.posterior(tap, 1e9)
+    assert "°" not in str(ww.flick_past(tap.whisker, 20))
+
+
+@pytest.mark.parametrize(
+    ("reading", "part"),
+    [([1j], "reading must be a number, got"), (["a"], "reading must be a number, got")],
+)
+def test_what_is_no_number_is_no_reading(reading: list[Any], part: str) -> None:
+    tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
+    with pytest.raises(ValueError, match=part):
+        ww.posterior(tap, reading)
+    with pytest.raises(ValueError, match="a reading or more, got none; give one row a touch"):
+        ww.touches(tap, [])

@@ -129,6 +129,8 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     kind("observer", observer, "an Observer", "checked_reading", "write ww.Observer(whisker, cue)")
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
+    if not len(y):
+        raise ValueError("touches needs a reading or more, got none; give one row a touch.")
     shared = shared_unknowns(observer)
     if len(shared) > 1 or not set(shared) <= set(SHARED):
         raise ValueError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ..whisker import rest_shape
 from .contact import Bending, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 
@@ -38,7 +39,7 @@ __all__ = [
     "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "Outcome",
     "Parabola", "Profile", "RodBending", "Spiral", "Sweep", "bend", "choose_model",
     "closed_form", "cylinder", "elastica", "flick_past", "modes", "peg", "press",
-    "profile", "rest_angle", "rod", "signal_jacobian", "sweep", "wall",
+    "profile", "rest_angle", "rest_shape", "rod", "signal_jacobian", "sweep", "wall",
 ]  # fmt: skip
 
 

@@ -225,7 +225,10 @@ class FlickPast(Line):
         reasons = sorted({Outcome(o).message for o in np.ravel(self.ended_by)})
         if not degrees.size:
             return "no distances"
-        ends = dict.fromkeys(f"{a:.4g}°" for a in (np.nanmin(degrees), np.nanmax(degrees)))
+        there = degrees[np.isfinite(degrees)]
+        if not there.size:
+            return "; ".join(reasons)
+        ends = dict.fromkeys(f"{a:.4g}°" for a in (there.min(), there.max()))
         return f"θ_d at most {' to '.join(ends)}; {'; '.join(reasons)}"
 
 

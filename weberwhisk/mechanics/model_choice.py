@@ -342,7 +342,7 @@ def _shape_at_rest(observer: Any) -> str:
             "write curved=True"
         )
     mirrored = ".scaled(1, -1)" if _side_of_law(whisker) < 0 else ""
-    law = f"Spiral(*rest_shape({named[1]!r}, {named[0]!r})){mirrored}"
+    law = f"ww.mechanics.Spiral(*ww.mechanics.rest_shape({named[1]!r}, {named[0]!r})){mirrored}"
     return (
         f"{named[1]} is taken as an arc; its measured shape at rest moves r by up to {off:.2g} "
         f"JND: write ww.mechanics.Profile.of(whisker).curved({law})"
