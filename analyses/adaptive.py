@@ -31,7 +31,6 @@ from weberwhisk.design import (
     Hypothesis,
     Proposal,
     Scheme,
-    Staircase,
     TrialLog,
     lattice,
     taper,
@@ -72,6 +71,45 @@ class Constant(TrialLog):
 
     def _learn(self, pair: tuple[float, float, float], answer: int) -> None:
         """No trial changes what comes next."""
+
+
+#: Right answers in a row that make it harder.
+RULES = {"1-up/2-down": 2, "1-up/3-down": 3}
+
+
+class Staircase(TrialLog):
+    """A transformed up–down rule (Levitt 1971) at one standard, from the easiest level on.
+
+    Levels moved at once are halved with every turn; the side of the comparison is random.
+    """
+
+    def __init__(self, hypothesis: Hypothesis, scheme: Scheme, rule: str, seed: int) -> None:
+        super().__init__([hypothesis], scheme, seed)
+        (standard,), levels = scheme.standards, np.array(scheme.comparisons[0])
+        sides = levels[levels < standard], levels[levels > standard][::-1]
+        self._sides, self._needed = sides, RULES[rule]
+        self._level = self._right = self._way = self._turns = 0
+
+    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
+        levels = self._sides[int(rng.random(2)[1] < 0.5)]
+        at = float(levels[min(self._level, levels.size - 1)])
+        return Proposal(number, self.scheme.standards[0], at)
+
+    def _encode(self, pair: tuple[float, float, float]) -> None:
+        """Stimuli of a scheme can be encoded."""
+
+    def _learn(self, pair: tuple[float, float, float], answer: int) -> None:
+        right = answer == int(pair[1] > pair[0])
+        self._right = self._right + 1 if right else 0
+        way = -1 if not right else int(self._right >= self._needed)
+        if way == 0:
+            return
+        self._right = 0
+        self._turns += self._way not in (0, way)
+        self._way = way
+        stride = max(4 >> self._turns, 1)
+        lowest = max(side.size for side in self._sides) - 1
+        self._level = int(np.clip(self._level + way * stride, 0, lowest))
 
 
 def scene(part: str, method: str, seed: int) -> Any:

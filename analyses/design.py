@@ -1,11 +1,9 @@
-"""Which distances tell most, and how many trials it takes to tell a taper from a cylinder.
+"""How many trials it takes to tell a taper from a cylinder.
 
     python analyses/design.py [folder] [--short]
 
-Writes design_information (what one trial is expected to tell of k and of the hypothesis, over
-standard and offset, before any trial and after 120) and design_power (the share of experiments
-whose Bayes factor passes 10, and the interval of k in 90 % of them, against trials) as PNG and SVG,
-with their tables as CSV.
+Writes design_power (the share of experiments whose Bayes factor passes 10, and the interval of k in
+90 % of them, against trials) as PNG and SVG, with its table as CSV.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from matplotlib.figure import Figure
 import weberwhisk as ww
 from weberwhisk import plots
 from weberwhisk._util.output import Run
-from weberwhisk.design import Power, Scheme, SubjectPopulation, information, taper
+from weberwhisk.design import Power, Scheme, SubjectPopulation, taper
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length
@@ -28,31 +26,6 @@ PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length
 ANIMAL = SubjectPopulation(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
 TRIALS = [3, 5, 10, 20, 40]
 SEED = 20110166
-
-
-def tell(points: int) -> dict[str, pd.DataFrame]:
-    """Information of one trial, before any and after 120."""
-    hypotheses = taper(WHISKER)
-    standards = np.linspace(0.1, 0.9, points) * WHISKER.length
-    offsets = np.linspace(-8e-3, 8e-3, 2 * points + 1)
-    before = Scheme.spaced(hypotheses[0].encoding, PLACES[[0, 2]], trials=10)
-    return {
-        when: information(hypotheses, standards, offsets, after=scheme, expected=ANIMAL)
-        for when, scheme in (("before", None), ("after 120 trials", before))
-    }
-
-
-@plots.styled
-def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
-    figure = plots.new_figure(plots.DOUBLE, 5.0)
-    axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    for row, (when, table) in zip(axes, tables.items(), strict=True):
-        for ax, about in zip(row, ("weber_fraction", "hypothesis"), strict=True):
-            plots.information_map(table, ax, about=about)
-            ax.get_legend().remove()  # type: ignore[union-attr]
-            ax.set_title(when)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center")
-    return figure
 
 
 def grow(runs: int) -> Power:
@@ -87,16 +60,13 @@ def draw_power(found: Power) -> Figure:
 
 
 def make(folder: Path, *, short: bool = False) -> dict[str, pd.DataFrame]:
-    """Tables and figures into `folder`."""
+    """Table and figure into `folder`."""
     runs = 16 if short else 2000
     with Run(folder, "design", {"weber_fraction": 0.1, "runs": runs}, SEED) as run:
-        tables, found = tell(4 if short else 25), grow(runs)
-        whole = pd.concat(tables, names=["when"]).reset_index("when")
-        run.table("design_information", whole)
+        found = grow(runs)
         run.table("design_power", found.table)
-        run.figure("design_information", draw_information(tables))
         run.figure("design_power", draw_power(found))
-    return {"information": whole, "power": found.table}
+    return {"power": found.table}
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ def objects() -> list[Any]:
         behaviour.weber_law_test(ww.fit_weber(two)), ww.compare({"a": fit, "b": fit}),
         behaviour.Priors(), *hypotheses, design.Goal(bayes_factor=third * 1e2),
         design.Constraints(step=third), design.SubjectPopulation(third),
-        design.Staircase(hypotheses[0], scheme), design.Session(placer, None), placer.next(),
+        design.Session(placer, None), placer.next(),
         ww.jnd_curve(observer, [10e-3, 20e-3], n_readings=4, seed=1), recordings.HingedTap(),
         few, ww.ArrayObserver(few, angle_sd=third), *few.whiskers.values(), afferents,
         receptors.SpikeCount(afferents), mechanics.modes.modes(whisker, count=3),

@@ -17,7 +17,7 @@ import numpy as np
 
 import weberwhisk as ww
 from weberwhisk.behaviour import IdentityEncoding, response_probability
-from weberwhisk.design import BayesianPlacer, Hypothesis, Scheme, Staircase, lattice, taper
+from weberwhisk.design import BayesianPlacer, Hypothesis, Scheme, lattice, taper
 
 TRIALS = 300
 
@@ -70,7 +70,6 @@ def main() -> None:
          lambda s: BayesianPlacer(pair, both, goal="hypothesis", seed=s)),
         ("everything (QUEST+), one standard",
          lambda s: BayesianPlacer(one, single, goal="everything", seed=s)),
-        ("1-up/2-down", lambda s: Staircase(one, single, seed=s)),
     ):  # fmt: skip
         timed(name, make, sessions)
 

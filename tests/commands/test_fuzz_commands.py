@@ -32,7 +32,7 @@ DESIGN = {
 NEXT = {
     "--standard": NUMBERS, "--standard-mm": NUMBERS, "--nearest": NUMBERS, "--farthest": NUMBERS,
     "--step": NUMBERS, "--easy-share": NUMBERS, "--width-percent": NUMBERS, "--most": COUNTS,
-    "--goal": st.one_of(WORDS, st.sampled_from(["taper", "weber-fraction", "1-up/2-down"])),
+    "--goal": st.one_of(WORDS, st.sampled_from(["taper", "weber-fraction"])),
     "--bias": WORDS, "--task": WORDS, "--cue": WORDS, "--seed": NUMBERS,
     "--deflection-angle-deg": NUMBERS, "--log": st.sampled_from(["log", "no/such/log", "."]),
     "--out": st.sampled_from(["out", "trials.csv", ""]),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
-from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
@@ -23,7 +22,6 @@ from weberwhisk.design import (
     BayesianPlacer,
     Hypothesis,
     Scheme,
-    Staircase,
     lattice,
     next_trial,
     taper,
@@ -190,38 +188,6 @@ def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
     assert few.finished == "there are 3 trials, as many as wanted"
 
 
-# -- the classical rules -------------------------------------------------------------------------
-
-
-def test_two_down_one_up_by_hand():
-    """Levels from the easiest: 0.8, 0.4, 0.2, 0.1 either side; strides 4, 2, then 1."""
-    scheme = Scheme([1.0], [[-0.8, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.8]])
-    staircase = Staircase(PLAIN, scheme, seed=1)
-    offsets = []
-    for right in (1, 1, 0, 1, 1, 0, 0, 1, None, 1):
-        trial = staircase.next()
-        offsets.append(round(abs(trial.comparison - 1), 6))
-        greater = trial.comparison > 1
-        staircase.record(1.0, trial.comparison, None if right is None else greater == bool(right))
-    assert offsets == [0.8, 0.8, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8, 0.8]
-    assert staircase.n_trials == 9
-
-
-@pytest.mark.parametrize(("rule", "share"), [("1-up/2-down", 0.7071), ("1-up/3-down", 0.7937)])
-@short_or_full("animals", 6, 12)
-def test_rules_settle_where_they_should(rule, share, animals):
-    """Share of right answers at the turning levels of an animal that does not lapse."""
-    scheme = lattice(PLAIN.encoding, 1.0, each_side=40)
-    found = []
-    for seed in range(animals):
-        staircase = Staircase(PLAIN, scheme, rule=rule, seed=seed)
-        session(staircase, 300, animal(PLAIN, seed=seed, lapse=0.0))
-        found.append(staircase.weber_fraction)
-    # Turns lie a little above the level aimed at (Levitt 1971): within 15 % of k.
-    assert np.mean(np.log(np.array(found) / 0.1)) == pytest.approx(0, abs=0.15)
-    assert stats.norm.cdf(stats.norm.ppf(share)) == pytest.approx(share)
-
-
 # -- the trials saved ----------------------------------------------------------------------------
 
 
@@ -271,11 +237,3 @@ def test_bad_input_in_one_sentence():
     assert len(placer.trials()) == 0
     with pytest.raises(ValueError, match="mass must lie between 0 and 1"):
         placer.interval(95)
-    for arguments, words in (
-        (dict(rule="2-down"), "rule '2-down' is unknown"),
-        (dict(turns=0), "turns must be above zero"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            Staircase(PLAIN, scheme, **arguments)
-    with pytest.raises(ValueError, match="comparisons on one side only"):
-        Staircase(PLAIN, Scheme([1.0], [[0.1, 0.2]]))

@@ -205,10 +205,10 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
     table = pd.DataFrame({"moment_uNm": b.moment * 1e6, "axial_force_uN": b.axial_force * 1e6})
     plan = ww.plan_experiment("C2", standards=[10e-3, 20e-3, 30e-3], trials=10, runs=16)
     scheme, hypotheses = plan.scheme, plan.hypotheses
-    staircase = design.Staircase(hypotheses[0], scheme, seed=1)
+    placer = design.BayesianPlacer(hypotheses[0], scheme, seed=1)
     for i in range(12):
-        trial = staircase.next()
-        staircase.record(trial.standard, trial.comparison, i % 3 > 0)
+        trial = placer.next()
+        placer.record(trial.standard, trial.comparison, i % 3 > 0)
     compared = pd.DataFrame(
         {"log_bayes_factor": [0.0, -2.1], "elpd_difference": [0.0, -1.2],
          "difference_se": [0.0, 1.5]}, index=["lapses", "no lapses"],
@@ -230,9 +230,6 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
         "bending": plots.bending(lines),
         "calibrated": plots.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": plots.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
-        "information_map": plots.information_map(
-            design.information(hypotheses, [10e-3, 20e-3, 30e-3], [-2e-3, 1e-3, 2e-3])
-        ),
         "jnd_lines": plots.jnd_lines(
             ww.jnd_curve(force_map, contacts[::3, :1], [0.1, 0.2], n_readings=4, seed=1)
         ),
@@ -242,7 +239,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
         "located": plots.located(ww.locate(table, WHISKER)),
         "pairs": plots.pairs(fit),
         "place": plots.place(ww.place(all_of_them, touching)),
-        "placements": plots.placements(staircase),
+        "placements": plots.placements(placer),
         "planned_jnds": plots.planned_jnds(plan),
         "planned_power": plots.planned_power(plan),
         "planned_psychometrics": plots.planned_psychometrics(plan),

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from weberwhisk._util import threads
 from weberwhisk._util.campaign import all_cores
 from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, simulate_population
-from weberwhisk.design import Hypothesis, Scheme, information
+from weberwhisk.design import Hypothesis, Scheme
 from weberwhisk.design.experiments import fit
 
 
@@ -54,7 +54,6 @@ def test_fits_and_designs_keep_blas_to_one_thread() -> None:
             lambda: fit_weber(trials.select(subject="s1"), encoding=Watched()),
             lambda: fit_population(trials, encoding=Watched()),
             lambda: fit(watched, scheme, np.ones((1, 1, 2))),
-            lambda: information([watched], [1.0], [0.1]),
         ):
             seen.clear()
             work()

@@ -194,8 +194,7 @@ def next_trials(
     standard_mm: opt.Texts = None,
     goal: Annotated[
         str,
-        "What the trials are to tell: weber-fraction, or taper (against a cylinder); or a rule: "
-        "1-up/2-down, 1-up/3-down, 1-up/1-down.",
+        "What the trials are to tell: weber-fraction, or taper (against a cylinder).",
     ] = "weber-fraction",
     nearest: Annotated[float, "Least stimulus; mm with a whisker."] = 0.0,
     farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
@@ -224,8 +223,7 @@ def next_trials(
     inputs = opt.as_asked(locals(), "log") | {"seed": seed}
     from ..behaviour import CueEncoding, IdentityEncoding, task_named
     from ..behaviour.trials import STIMULI
-    from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
-    from ..design.placement import RULES
+    from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, lattice
     from ..design.session import Session, converse
 
     if farthest == float("inf"):
@@ -237,7 +235,7 @@ def next_trials(
         raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
     at = numbers(name, texts)
     limits = Constraints(nearest, farthest, step)
-    checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
+    checks.one_of("--goal", goal, ("weber-fraction", "taper"))
     bias = bias.replace("-", " ")
     unasked = bias == "per standard" and not task_named(task).has_bias
     how: dict[str, Any] = {"bias": "none" if unasked else bias, "task": task}
@@ -256,15 +254,11 @@ def next_trials(
         hypotheses = [Hypothesis(name, of_it, **how) for name, of_it in named.items()]
         rows = zip(scheme.offsets, lattice(other, at, limits).offsets, strict=True)
         scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in rows])
-    placer: BayesianPlacer | Staircase
-    if goal in RULES:
-        placer = Staircase(hypotheses[0], scheme, rule=goal, most=most, seed=seed)
-    else:
-        placer = BayesianPlacer(
-            hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
-            easy_share=easy_share, width=None if width_percent is None else width_percent / 100,
-            most=most, seed=seed,
-        )  # fmt: skip
+    placer = BayesianPlacer(
+        hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
+        easy_share=easy_share, width=None if width_percent is None else width_percent / 100,
+        most=most, seed=seed,
+    )  # fmt: skip
     unit = "" if encoding is None else "_mm"
     # More trials, or fewer, go on with the same file.
     question = {name: value for name, value in inputs.items() if name != "most"}

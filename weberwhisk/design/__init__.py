@@ -4,11 +4,10 @@ A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that 
 it runs, a placer chooses each trial from the answers to those before.
 """
 
-from .belief import information
 from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
-from .placement import BayesianPlacer, Proposal, Staircase, TrialLog, next_trial
+from .placement import BayesianPlacer, Proposal, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
@@ -17,8 +16,8 @@ from .session import Session, trial_lists
 
 __all__ = [
     "LEVELS", "AnalysisResult", "BayesianPlacer", "Best", "Constraints", "Goal", "Hypothesis",
-    "Plan", "Power", "Proposal", "Scheme", "Session", "SimulatedStudy", "Smallest", "Staircase",
-    "SubjectPopulation", "TrialLog", "analyse", "best_scheme", "cues", "information", "lattice",
+    "Plan", "Power", "Proposal", "Scheme", "Session", "SimulatedStudy", "Smallest",
+    "SubjectPopulation", "TrialLog", "analyse", "best_scheme", "cues", "lattice",
     "next_trial", "noises", "plan_experiment", "plan_json", "power", "read_plan", "simulate_study",
     "smallest", "taper", "trial_lists", "with_priors",
 ]  # fmt: skip

@@ -17,23 +17,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
-from .._util import checks
-from .._util.threads import one_blas_thread
 from .._util.values import Array
 from ..behaviour.axes import bias_at, lapse_prior, score_prior
-from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
+from ..behaviour.encodings import UnitEncodings
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY, lapse_transform
 from ..behaviour.trials import Cells
-from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
-from .scheme import Scheme, millimetres
+from .hypotheses import Hypothesis
 
-__all__ = ["Belief", "Pair", "entropy", "information"]
+__all__ = ["Belief", "Pair", "entropy"]
 
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 
@@ -274,16 +269,6 @@ class Belief:
         if self._building is None and (axes := self._better_axes()) is not None:
             self._building = self._laid(*axes)
 
-    def learn(self, cells: Cells, most: int = 6) -> None:
-        """Learn from a table, whose counts need not be whole; so many grids may be laid for it."""
-        for pair, n, count in zip(_pairs(cells), cells.n, cells.count, strict=True):
-            self._seen[pair] = [float(n - count), float(count)]
-        self._lay(self._grid.model, self.axes)
-        for _ in range(most):
-            if (better := self._better_axes()) is None:
-                break
-            self._lay(*better)
-
     def _better_axes(self) -> tuple[WeberModel, Axes] | None:
         """Axes that fit what is left, and coordinates; None where those there do."""
         axes = self.axes
@@ -341,111 +326,3 @@ def _with_trials(model: WeberModel, trials: float) -> WeberModel:
     """The model with the lapses' coordinates for so many trials."""
     c = model.cells
     return replace(model, cells=replace(c, n=np.full(c.n.size, trials / max(c.n.size, 1))))
-
-
-# -- information ----------------------------------------------------------------------------------
-
-
-@one_blas_thread
-def information(
-    hypotheses: Sequence[Hypothesis],
-    standards: ArrayLike,
-    offsets: ArrayLike,
-    *,
-    after: Scheme | None = None,
-    expected: SubjectPopulation | None = None,
-) -> pd.DataFrame:
-    """Expected information of one trial at every standard and offset.
-
-    Parameters
-    ----------
-    hypotheses : sequence of Hypothesis
-        With any cue, whisker, noise and priors; equally probable.
-    standards : array_like, shape (S,)
-        m.
-    offsets : array_like, shape (J,) or (S, J)
-        Comparison − standard, m; one row for all, or one each. Comparisons that cannot be encoded
-        have no information: NaN.
-    after : Scheme, optional
-        What has been run before: the parameters are then known as well as they are expected to be
-        after it, averaged over each hypothesis being the truth. By default nothing has, and beliefs
-        are the priors.
-    expected : SubjectPopulation, optional
-        The animal whose answers are expected before; its Weber fraction and lapses.
-
-    Returns
-    -------
-    DataFrame
-        One row a standard and offset: `standard_mm`, `offset_mm`, `weber_fraction_bits`,
-        `hypothesis_bits`.
-
-    Notes
-    -----
-    Good to about 1 %. An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the
-    very next trial: they shrink as the experiment goes on, and what is best to know first need not
-    be best to know in the end. A whole scheme is judged by `best_scheme` and `power`.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> weber = Hypothesis("Weber", IdentityEncoding())
-    >>> table = information([weber], [1.0], [0.0, 0.1, 0.2, 0.4])
-    >>> int(table["weber_fraction_bits"].argmax())
-    2
-    """
-    given = check_distinct(hypotheses)
-    check_metres(given)
-    at = np.ravel(checks.finite("standards", standards, "give distances in m"))
-    rows = np.atleast_2d(checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
-    if len(rows) not in (1, at.size):
-        raise ValueError(
-            f"offsets has {len(rows)} rows for {at.size} standards; give one for all, or one each."
-        )
-    rows = np.broadcast_to(rows, (at.size, rows.shape[1]))
-    for h in given:
-        refuse_out_of_reach(h.encoding, at, "standard")
-    likely = expected or SubjectPopulation()
-    s1, s2 = np.repeat(at, rows.shape[1]), (at[:, None] + rows).ravel()
-    encoded = np.ones(s2.size, dtype=bool)
-    for h in given:
-        low, high = h.encoding.domain
-        encoded &= (s2 > low) & (s2 < high)
-        encoded &= gives_signal(h.encoding, np.where(encoded, s2, s1))
-    bits = np.full((2, s1.size), np.nan)
-    if encoded.any():
-        parts = []
-        for truth in given if after is not None else given[:1]:
-            before = None
-            if after is not None:  # the answers that an animal is expected to give
-                count = truth.expected_counts(after, likely.weber_fraction, likely.lapse)
-                before = replace(after.cells(), count=count)
-            beliefs = [_believed(h, s1[encoded], s2[encoded], before) for h in given]
-            parts.append(_of_answers(beliefs, int(encoded.sum())))
-        bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
-    named = zip(("weber_fraction_bits", "hypothesis_bits"), bits, strict=True)
-    mm = {"standard_mm": millimetres(s1), "offset_mm": millimetres(rows.ravel())}
-    return pd.DataFrame({**mm, **dict(named)})
-
-
-def _believed(
-    hypothesis: Hypothesis, standards: Array, comparisons: Array, before: Cells | None
-) -> Belief:
-    """What is known of an observer after a table, with pairs that may be shown next at its end."""
-    shown = standards, comparisons, standards
-    if before is not None:
-        known = before.stimulus_1, before.stimulus_2, before.standard
-        shown = tuple(np.r_[a, b] for a, b in zip(known, shown, strict=True))
-    none = np.zeros(shown[0].size)
-    belief = Belief(hypothesis, Cells(*shown, none, none), (41, 21, 25))
-    if before is not None:
-        belief.learn(before)
-    return belief
-
-
-def _of_answers(beliefs: list[Belief], last: int) -> Array:
-    """Both informations of the last so many pairs, (2, J) nats."""
-    answers = [(b.mass_k, b.predicted()[0][:, -last:]) for b in beliefs]
-    mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
-    about_k = np.mean([entropy(mass @ p) - mass @ entropy(p) for mass, p in answers], axis=0)
-    about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
-    return np.maximum([about_k, about_hypothesis], 0.0)

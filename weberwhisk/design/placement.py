@@ -1,4 +1,4 @@
-"""Which trial comes next: the one that is expected to tell most, or the one a rule says.
+"""Which trial comes next: the one that is expected to tell most.
 
 The objective is the mutual information between the next answer and what is asked for, everything
 else integrated over what is believed of it (Lindley 1956; Kontsevich & Tyler 1999 for the
@@ -10,26 +10,24 @@ tells of the lapses would spend trials on stimuli so easy that only a lapse can 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtri, softmax
+from scipy.special import softmax
 
 from .._util import checks
 from .._util.values import Array, Fields, Line, counted
 from ..behaviour.encodings import LogEncoding
 from ..behaviour.estimates import tails
 from ..behaviour.fit import WeberFit, fit_weber
-from ..behaviour.psychometric import decision_variable
-from ..behaviour.tasks import SignedChoice, YesNo
-from ..behaviour.trials import Cells, Trials
+from ..behaviour.trials import Trials
 from .belief import Belief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
 
-__all__ = ["BayesianPlacer", "Proposal", "Staircase", "TrialLog", "next_trial"]
+__all__ = ["BayesianPlacer", "Proposal", "TrialLog", "next_trial"]
 
 GOALS = ("weber_fraction", "hypothesis", "everything")
 
@@ -47,8 +45,7 @@ class Proposal(Fields):
     easy : bool
         Put in to keep the animal working.
     information : float
-        Bits that the answer is expected to tell of what is asked for; NaN where a rule does not
-        count them.
+        Bits that the answer is expected to tell of what is asked for.
     """
 
     trial: int
@@ -59,7 +56,7 @@ class Proposal(Fields):
 
 
 class TrialLog(Line):
-    """The trials so far, as a fit takes them; `BayesianPlacer` and `Staircase` choose the next."""
+    """The trials so far, as a fit takes them; `BayesianPlacer` chooses the next."""
 
     most: int | None = None  # trials, after which there are enough
 
@@ -329,126 +326,6 @@ class BayesianPlacer(TrialLog):
     def _learn(self, pair: Pair, answer: int) -> None:
         for belief in self.beliefs.values():
             belief.absorb(pair, answer)
-
-
-#: Right answers in a row that make it harder.
-RULES = {"1-up/1-down": 1, "1-up/2-down": 2, "1-up/3-down": 3}
-
-
-@dataclass
-class _Track:
-    """One staircase: its level, from the easiest down, and its turns."""
-
-    level: int = 0
-    right: int = 0
-    way: int = 0
-    turns: list[float] = field(default_factory=list)
-
-
-class Staircase(TrialLog):
-    """A transformed up–down rule (Levitt 1971), one track a standard, interleaved at random.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        Says what is asked and how a stimulus is encoded; the rule itself needs no more.
-    scheme : Scheme
-        Its comparisons are the levels, from the easiest on.
-    rule : {"1-up/2-down", "1-up/3-down", "1-up/1-down"}
-        Settles where 70.7, 79.4 or 50 % of the answers are right.
-    turns : int, optional
-        Finished after so many turns on every track.
-    most : int, optional
-        Finished after so many trials.
-    seed : int
-        Of the order of the standards, and of the side of the comparison.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> scheme = Scheme([1.0], [[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]])
-    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()), scheme, seed=1)
-    >>> offsets = []
-    >>> for _ in range(6):
-    ...     trial = staircase.next()
-    ...     offsets.append(round(abs(trial.comparison - trial.standard), 3))
-    ...     staircase.record(trial.standard, trial.comparison, trial.comparison > trial.standard)
-    >>> offsets
-    [0.4, 0.4, 0.1, 0.1, 0.1, 0.1]
-    """
-
-    def __init__(
-        self,
-        hypothesis: Hypothesis,
-        scheme: Scheme,
-        *,
-        rule: str = "1-up/2-down",
-        turns: int | None = None,
-        most: int | None = None,
-        seed: int = 1,
-    ) -> None:
-        super().__init__([hypothesis], scheme, seed)
-        self.rule = checks.one_of("rule", rule, RULES)
-        self.turns, self.most = _limit("turns", turns), _limit("most", most)
-        self._sides: dict[float, tuple[Array, Array]] = {}
-        for s, row in zip(scheme.standards, scheme.comparisons, strict=True):
-            levels = np.asarray(row)
-            # Easiest first on either side.
-            below, above = np.sort(levels[levels < s]), np.sort(levels[levels > s])[::-1]
-            if not below.size or not above.size:
-                raise ValueError(
-                    f"standard {s:g} has comparisons on one side only, and a staircase takes both; "
-                    "give offsets of both signs."
-                )
-            self._sides[s] = below, above
-        self._tracks = {s: _Track() for s in scheme.standards}
-
-    @property
-    def finished(self) -> str:
-        fewest = min(len(track.turns) for track in self._tracks.values())
-        if self.turns is not None and fewest >= self.turns:
-            return f"every track has turned {self.turns} times"
-        return super().finished
-
-    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
-        which, side = rng.random(2)
-        s = self.scheme.standards[int(which * len(self._tracks))] if standard is None else standard
-        levels = self._sides[s][int(side < 0.5)]
-        return Proposal(number, s, float(levels[min(self._tracks[s].level, levels.size - 1)]))
-
-    def _learn(self, pair: Pair, answer: int) -> None:
-        signed = isinstance(self.hypotheses[0].asked, SignedChoice | YesNo)
-        right = answer == int(pair[1] > pair[0]) if signed else bool(answer)
-        track = self._tracks[pair[2]]
-        track.right = track.right + 1 if right else 0
-        way = -1 if not right else int(track.right >= RULES[self.rule])
-        if way == 0:
-            return
-        track.right = 0
-        if track.way and way != track.way:
-            encoding = self.hypotheses[0].encoding  # |d| of the trial for a Weber fraction of 1
-            track.turns.append(abs(float(decision_variable(encoding, pair[0], pair[1]))))
-        track.way = way
-        stride = max(4 >> len(track.turns), 1)  # levels moved at once, halved with every turn
-        lowest = max(side.size for side in self._sides[pair[2]]) - 1
-        track.level = int(np.clip(track.level + way * stride, 0, lowest))
-
-    def _encode(self, pair: Pair) -> None:
-        self.hypotheses[0].model(Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0))))
-
-    @property
-    def weber_fraction(self) -> float:
-        """The textbook's estimate: the mean level (of logarithms) at all turns but the first two.
-
-        NaN before the third turn, for 1-up/1-down, which settles at chance, and for tasks but 2AFC
-        and 2IFC, whose right answers are not Φ of the level. Lapses and bias move it; `fits` takes
-        them into account, and other tasks.
-        """
-        turns = [d for track in self._tracks.values() for d in track.turns[2:]]
-        share = 0.5 ** (1 / RULES[self.rule])
-        if not turns or share == 0.5 or not isinstance(self.hypotheses[0].asked, SignedChoice):
-            return float("nan")
-        return float(np.exp(np.mean(np.log(turns))) / ndtri(share))
 
 
 def next_trial(

@@ -299,7 +299,7 @@ class Session(Line):
 
     Parameters
     ----------
-    placer : BayesianPlacer or Staircase
+    placer : BayesianPlacer
         Fresh: what is in the file is recorded in it again.
     path : path or None
         An append-only file of JSON lines. None: in memory alone.

@@ -16,7 +16,6 @@ from .contacts import (
 )
 from .designs import (
     analysed,
-    information_map,
     placements,
     planned_jnds,
     planned_power,
@@ -38,7 +37,7 @@ from .whisks import place, whisker_array
 
 __all__ = [
     "COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "analysed", "bending", "calibrated",
-    "comparison", "figure_of", "information_map", "jnd_lines", "jnd_surface", "located",
+    "comparison", "figure_of", "jnd_lines", "jnd_surface", "located",
     "new_figure", "pairs", "place", "placements", "planned_jnds", "planned_power",
     "planned_psychometrics", "population", "posterior_histogram", "posteriors", "power_curve",
     "psychometric", "psychometrics", "rehearsed", "residuals", "shown", "shrinkage", "styled",

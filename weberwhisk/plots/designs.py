@@ -1,4 +1,4 @@
-"""Designs of experiments: information, power, plans and rehearsals."""
+"""Designs of experiments: power, plans and rehearsals."""
 
 from __future__ import annotations
 
@@ -34,51 +34,9 @@ if TYPE_CHECKING:
     from ..design.power_analysis import Power
 
 __all__ = [
-    "ABOUT", "analysed", "information_map", "placements", "planned_jnds", "planned_power",
+    "analysed", "placements", "planned_jnds", "planned_power",
     "planned_psychometrics", "power_curve", "rehearsed",
 ]  # fmt: skip
-
-#: What the columns of `information_map` are about.
-ABOUT = {"weber_fraction": "k", "hypothesis": "the hypothesis"}
-
-
-@styled
-def information_map(
-    table: pd.DataFrame, ax: Axes | None = None, *, about: str = "weber_fraction"
-) -> Axes:
-    """Information of one trial over standard and offset, millibits; a ring where it is greatest.
-
-    Parameters
-    ----------
-    table : DataFrame
-        From `weberwhisk.design.information`.
-    ax : Axes, optional
-    about : {"weber_fraction", "hypothesis"}
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> from weberwhisk.design import Hypothesis, information as bits
-    >>> table = bits([Hypothesis("Weber", IdentityEncoding())], [1e-3, 2e-3], [-1e-4, 0.0, 1e-4])
-    >>> information_map(table).get_xlabel()
-    'Standard (mm)'
-    """
-    ax = axes_or_new(ax)
-    shape = table["standard_mm"].nunique(), -1
-    standard, offset, bits = (
-        table[name].to_numpy(float).reshape(shape)
-        for name in ("standard_mm", "offset_mm", f"{about}_bits")
-    )
-    shown = np.ma.masked_invalid(1e3 * bits)
-    mesh = ax.pcolormesh(standard, offset, shown, shading="nearest", cmap="cividis", vmin=0.0)
-    figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
-    best = np.unravel_index(np.nanargmax(bits), bits.shape)
-    ring: Any = {"markerfacecolor": "none", "markersize": 7}
-    ax.plot(standard[best], offset[best], "o", **ring, color="w")
-    ax.plot([], [], "o", **ring, color="black", label="the most")
-    ax.axhline(0.0, color="w", linewidth=0.5)
-    ax.set(xlabel="Standard (mm)", ylabel="Offset (mm)")
-    return legend_above(ax)
 
 
 @styled
@@ -299,7 +257,7 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
 
     Parameters
     ----------
-    placer : BayesianPlacer or Staircase
+    placer : TrialLog
         After some trials.
     ax : Axes, optional
     """
