@@ -5,14 +5,13 @@ is right (Lindley 1956, Ann. Math. Stat. 27:986), everything else integrated out
 that must be learnt as well costs information.
 
 A trial multiplies the grid by the probability of its answer. Where the axes have become too wide or
-too short for what is left, another grid is laid and the trials so far put in again, some of them
-with every trial that comes, so that none has long to wait; until it is done the old grid serves.
+too short for what is left, another grid is laid and the trials so far put in again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +31,9 @@ __all__ = ["Belief", "Pair", "entropy"]
 
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 
+#: Of k, either lapse and every bias: quantiles within 0.02 posterior sd of the fit's
+#: (`tests/benchmarks/bench_adaptive.py`).
+NODES = (21, 14, 21)
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
 EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
 LEAST_TRIALS = 8  # that the coordinates of the lapses are made for at first
@@ -47,12 +49,13 @@ class Axes:
     bias: tuple[Array, ...]
 
     @classmethod
-    def whole(cls, model: WeberModel, sizes: tuple[int, int, int]) -> Axes:
+    def whole(cls, model: WeberModel) -> Axes:
         """Even nodes of k, either lapse and every bias over all of their priors."""
         far = -FAR, FAR
         lapses = [tuple(t.coordinate(far).tolist()) for t in model.transforms[-2:]]
         ends: list[Any] = [far, *lapses, *[far] * model.n_groups]
-        counts = [sizes[0], sizes[1], sizes[1], *[sizes[2]] * model.n_groups]
+        of_k, of_lapse, of_bias = NODES
+        counts = [of_k, of_lapse, of_lapse, *[of_bias] * model.n_groups]
         free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
         k, low, high, *biases = (
             np.linspace(end[0], end[1], count) if own else np.zeros(1)
@@ -141,14 +144,11 @@ def _with_lapses(side: Any, ends: Any) -> Any:
 class Belief:
     """The posterior of one hypothesis, trial by trial.
 
-    `candidates` are the pairs of stimuli that may be put; what is put may differ. The grid has
-    `sizes` nodes of k, either lapse and every bias. `mass_k` are the masses of the Weber fractions
-    `k`.
+    `candidates` are the pairs of stimuli that may be put; what is put may differ. `mass_k` are the
+    masses of the Weber fractions `k`.
     """
 
-    def __init__(
-        self, hypothesis: Hypothesis, candidates: Cells, sizes: tuple[int, int, int] = (21, 14, 21)
-    ) -> None:
+    def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis, self._candidates = hypothesis, candidates
         model = _with_trials(hypothesis.model(candidates), LEAST_TRIALS)
         self._seen: dict[Pair, list[float]] = {}
@@ -159,30 +159,15 @@ class Belief:
         for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
             for doublings in range(3, 13 * free):  # their coordinates, made now and kept
                 lapse_transform(model.priors.of(name), doublings)
-        self._building: Iterator[BeliefGrid | None] | None = None
-        self._lay(model, Axes.whole(model, sizes))
+        self._lay(model, Axes.whole(model))
 
     def _lay(self, model: WeberModel, axes: Axes) -> None:
-        """A grid with all trials so far, at once."""
-        for grid in self._laid(model, axes, max(len(self._seen), 1)):
-            assert grid is not None
-            self._grid = grid
+        """A grid on these axes, with all trials so far in it."""
+        self._grid = BeliefGrid(model, axes)
+        for pair, seen in self._seen.items():
+            self._grid.put(self.encode(pair), self._group(pair), seen)
+        self._grid.close()
         self._sum()
-
-    def _laid(self, model: WeberModel, axes: Axes, pairs: int = 4) -> Iterator[BeliefGrid | None]:
-        """A grid on these axes with all trials so far in it, after some rests, before each of which
-        the answers to so many pairs of stimuli are put in."""
-        grid, inside = BeliefGrid(model, axes), dict[Pair, list[float]]()
-        while left := [pair for pair, seen in self._seen.items() if inside.get(pair) != seen]:
-            for pair in left[:pairs]:
-                before, seen = inside.get(pair, [0, 0]), self._seen[pair]
-                new = [n - b for n, b in zip(seen, before, strict=True)]
-                grid.put(self.encode(pair), self._group(pair), new)
-                inside[pair] = list(seen)
-            if len(left) > pairs:
-                yield None
-        grid.close()
-        yield grid
 
     def _sum(self) -> None:
         """Integrate everything."""
@@ -261,13 +246,9 @@ class Belief:
         """Learn from one trial."""
         self._seen.setdefault(pair, [0.0, 0.0])[answer] += 1
         self._grid.multiply(self.encode(pair), self._group(pair), answer)
-        if self._building is not None:
-            grid = next(self._building)
-            if grid is not None:
-                self._grid, self._building = grid, None
         self._sum()
-        if self._building is None and (axes := self._better_axes()) is not None:
-            self._building = self._laid(*axes)
+        if (better := self._better_axes()) is not None:
+            self._lay(*better)
 
     def _better_axes(self) -> tuple[WeberModel, Axes] | None:
         """Axes that fit what is left, and coordinates; None where those there do."""

@@ -33,7 +33,7 @@ from .._util import checks
 from .._util.output import Log
 from .._util.values import Array, Index, Line
 from ..behaviour.trials import Cells
-from .placement import BayesianPlacer, Proposal, TrialLog
+from .placement import BayesianPlacer, Proposal
 from .scheme import Scheme, millimetres
 
 __all__ = ["Session", "bpod_table", "converse", "psychopy_tables", "sessions_needed", "trial_lists"]
@@ -330,7 +330,7 @@ class Session(Line):
 
     def __init__(
         self,
-        placer: TrialLog,
+        placer: BayesianPlacer,
         path: str | os.PathLike[str] | None,
         question: dict[str, Any] | None = None,
     ) -> None:
@@ -438,10 +438,8 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
     yield json.dumps(about | _known(session.placer))
 
 
-def _known(placer: TrialLog) -> dict[str, Any]:
-    """What is known so far, where the placer knows it."""
-    if not isinstance(placer, BayesianPlacer):
-        return {}
+def _known(placer: BayesianPlacer) -> dict[str, Any]:
+    """What is known so far."""
 
     def rounded(values: dict[str, float]) -> dict[str, Any]:
         return {name: float(f"{value:.5g}") for name, value in values.items()}
