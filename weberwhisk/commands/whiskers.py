@@ -106,7 +106,7 @@ def _which_model(whisker: ww.Whisker, bending: ww.mechanics.Bending) -> Iterator
     choice = ww.choose_model(whisker, bending.radial_distance[at], bending.deflection_angle[at])
     models, first, counts = np.unique(choice.model, return_index=True, return_counts=True)
     for model, k, count in zip(models, first, counts, strict=True):
-        title = ww.mechanics.Model(model).title
+        title = ww.mechanics.Model(model).message
         yield f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}."
 
 

@@ -63,11 +63,6 @@ class Model(Worded):
     PROFILE = 2, "the curved planar beam"
     ROD = 3, "the rod in space"
 
-    @property
-    def title(self) -> str:
-        """The model's name in words."""
-        return self.message
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bending(Shown):
@@ -131,7 +126,7 @@ class Bending(Shown):
     def _line(self) -> str:
         if np.ndim(self.moment):
             count, shape = int(np.sum(self.held)), "×".join(map(str, np.shape(self.moment)))
-            models = ", ".join(Model(int(m)).title for m in np.unique(self.model))
+            models = ", ".join(Model(int(m)).message for m in np.unique(self.model))
             return f"{shape} contacts, {count} of {np.size(self.moment)} held; {models}"
         signals = (
             f"M = {self.moment * 1e6:.4g} µN m, Fx = {self.axial_force * 1e6:.4g} µN, "
@@ -140,7 +135,7 @@ class Bending(Shown):
         place = f"r = {self.radial_distance * 1e3:.4g} mm, "
         place += f"θ_d = {np.degrees(self.deflection_angle):.4g}°"
         known = f"{signals} at {place}; " if self.held else ""
-        return f"{known}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).title}"
+        return f"{known}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).message}"
 
     def _table(self) -> pd.DataFrame:
         units = {

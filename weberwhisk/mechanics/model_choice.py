@@ -73,7 +73,7 @@ class Choice(Line):
         models, counts = np.unique(self.model, return_counts=True)
         if np.ndim(self.model) == 0:
             return str(self.why)
-        return ", ".join(f"{Model(m).title} for {n}" for m, n in zip(models, counts, strict=True))
+        return ", ".join(f"{Model(m).message} for {n}" for m, n in zip(models, counts, strict=True))
 
     @property
     def why(self) -> str | NDArray[np.object_]:
@@ -87,15 +87,15 @@ class Choice(Line):
 
 
 def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
-    here = f"{model.title} is off by {_shown(bias[model], allowed)} {unit}"
+    here = f"{model.message} is off by {_shown(bias[model], allowed)} {unit}"
     if bias[model] == 0:
-        here = f"{model.title} models all there is in this scene"
+        here = f"{model.message} models all there is in this scene"
     if model == Model.CLOSED_FORM:
         return f"{here}, {allowed:g} allowed, and nothing is cheaper"
     below = Model(model - 1)
     if np.isinf(bias[below]):
-        return f"{here}; {below.title} finds no contact here"
-    there = f"{below.title} is off by {_shown(bias[below], allowed)} {unit}"
+        return f"{here}; {below.message} finds no contact here"
+    there = f"{below.message} is off by {_shown(bias[below], allowed)} {unit}"
     return f"{here}; {there}, {allowed:g} allowed"
 
 

@@ -293,32 +293,13 @@ def rate_on_wall(forward: Any, r: Array, theta: Array, step: float = 1e-5) -> Ar
     return np.where(np.isfinite(rate), rate, 0.0)
 
 
-def tip_contacts(
-    forward: Any, count: int = 401, inside: float = 1e-6
-) -> tuple[Array, Array, Array]:
-    """r, θ_d and β (n,) along the contacts of the tip, from the whisker at rest on.
-
-    Up to a share `inside` of the push before it slips off.
-
-    A wall at the angle β from the line base → tip at first contact is met by the tip until the
-    whisker is bent as much there; by the flank from then on.
-    """
-    reach = forward.reach * (1 - 1e-15)
-    r = reach * (1 - np.linspace(0.0, 1.0, count)[:-1] ** 2)
-    push = np.nan_to_num(forward.limit(r)) * (1 - inside)
-    tip = forward.signals(r, push * (1 + 2 * inside))[1] == Outcome.SLIPPED_OFF_TIP
-    tip[0] = True
-    r, push = r[tip], push[tip]
-    push[0] = 0.0
-    theta = forward.rest(r) + push
-    return r, theta, contact_angle(forward, r, theta) - theta
-
-
 @dataclass(frozen=True, eq=False)
 class Walls:
     """Walls that a whisker meets: with its tip, at r, θ_d and β (n,), or with its flank at rest.
 
-    `rest` is the distance of a wall from the base and the r (m,) at which the flank touches it.
+    One at the angle β from the line base → tip at first contact is met by the tip until the whisker
+    is bent as much there, by the flank from then on. `rest` is the distance of a wall from the base
+    and the r (m,) at which the flank touches it.
     """
 
     r: Array
@@ -327,16 +308,11 @@ class Walls:
     rest: tuple[Array, Array]
 
     @classmethod
-    def of(cls, forward: Any, farther_out: float = 0.01) -> Walls:
-        """Those of a `ForwardModel`, whose tip must not be pushed by `farther_out`, rad, outwards.
-
-        Raises
-        ------
-        ValueError
-        """
+    def of(cls, forward: Any) -> Walls:
+        """Those of a `ForwardModel` whose tip is not pushed outwards by more than 0.01 rad."""
         unknown = len({*forward.friction_range}) > 1 or len({*forward.offset_range}) > 1
         reach = forward.reach * (1 - 1e-12)
-        if unknown or forward.limit(np.array([reach]))[0] > farther_out:
+        if unknown or forward.limit(np.array([reach]))[0] > 0.01:
             raise ValueError(
                 "A tip that meets an object may go further out than it reaches at rest, got "
                 f"{forward.whisker!r}{' with friction or curvature unknown' * unknown}; write "
@@ -346,7 +322,16 @@ class Walls:
         r = np.linspace(1e-3, 1.0, 201) * reach
         rest = forward.rest(r)
         depth = r * np.sin(contact_angle(forward, r, rest) - rest)
-        return cls(*tip_contacts(forward), (np.maximum.accumulate(depth), r))
+        flank = np.maximum.accumulate(depth), r
+        # Contacts of the tip, from rest on to a millionth of the push before it slips off.
+        r = forward.reach * (1 - 1e-15) * (1 - np.linspace(0.0, 1.0, 401)[:-1] ** 2)
+        push = np.nan_to_num(forward.limit(r)) * (1 - 1e-6)
+        tip = forward.signals(r, push * (1 + 2e-6))[1] == Outcome.SLIPPED_OFF_TIP
+        tip[0] = True
+        r, push = r[tip], push[tip]
+        push[0] = 0.0
+        theta = forward.rest(r) + push
+        return cls(r, theta, contact_angle(forward, r, theta) - theta, flank)
 
     def met(self, angle: Array) -> tuple[Array, Array]:
         """r (n,) at which walls are met, and how far the tip is then turned, −∞ of the flank.

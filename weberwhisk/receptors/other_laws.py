@@ -10,27 +10,13 @@ from numpy.typing import ArrayLike
 
 from .._util.checks import finite, non_negative, number
 from .._util.values import Array, Flags, Index
-from .gaussian import Gaussian, Proportional
+from .gaussian import GeneralisedWeber, Proportional
 from .protocol import ReceptorNoise, Seed
 
 __all__ = ["Events", "LogNormal"]
 
 #: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
 _SIDE = 1e5
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Constant(Gaussian):
-    """Gaussian noise of the same sd everywhere: of the logs of the readings."""
-
-    constant: Array
-    correlation: float = 0.0
-
-    def sd(self, signals: ArrayLike) -> Array:
-        return np.broadcast_to(self.constant, np.shape(signals))
-
-    def slopes(self, signals: Array) -> tuple[Array, Array]:
-        return np.ones_like(signals), np.zeros_like(signals)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -74,8 +60,9 @@ class LogNormal(Proportional):
     gaussian_on = "log"
 
     @cached_property
-    def _logs(self) -> _Constant:
-        return _Constant(self.sigma, self.correlation)
+    def _logs(self) -> GeneralisedWeber:
+        """The noise of the logs, the same everywhere."""
+        return GeneralisedWeber(0.0, floor=self.sigma, correlation=self.correlation)
 
     @property
     def sigma(self) -> Array:

@@ -311,14 +311,6 @@ class Joint(ReceptorNoise):
             )
         return [(c.noise, array[..., c.signals]) for c in self._components]
 
-    def apart(
-        self, reading: ArrayLike, signals: ArrayLike
-    ) -> list[tuple[ReceptorNoise, Array, Array]]:
-        """Each component with its own readings, (..., R_i), and signals, (..., S_i)."""
-        array = np.asarray(reading, dtype=float)
-        own = [array[..., c.readings] for c in self._components]
-        return [(n, y, s) for y, (n, s) in zip(own, self.parts(signals), strict=True)]
-
     def reading_size(self, signals: int) -> int:
         return self._components[-1].readings.stop
 
@@ -341,7 +333,10 @@ class Joint(ReceptorNoise):
         return _joined([noise.interval(part, width) for noise, part in self.parts(signals)])
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
-        return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
+        array = np.asarray(reading, dtype=float)
+        own = [array[..., c.readings] for c in self._components]
+        pairs = zip(own, self.parts(signals), strict=True)
+        return reduce(np.add, (noise.log_likelihood(y, s) for y, (noise, s) in pairs))
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         rng = np.random.default_rng(seed)
