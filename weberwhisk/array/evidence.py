@@ -247,8 +247,9 @@ class Blurred(Evidence):
     #: it would add less than 0.1 % to the spread.
     MOST = 22.0
 
-    def __init__(self, sensor: Sensor, reading: Array, *, distances: int = 100) -> None:
+    def __init__(self, sensor: Sensor, reading: Array) -> None:
         super().__init__(sensor, reading)
+        distances = 100
         x = np.linspace(-3.4, 3.4, distances)
         for _ in range(4):  # closer and closer to where the reading is likely
             r = sensor.observer.space.distance(x)

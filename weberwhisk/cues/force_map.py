@@ -114,7 +114,7 @@ class ForceMap(Cue):
 
     # -- inverse -------------------------------------------------------------------------------
 
-    def contact(self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60) -> Encoded:
+    def contact(self, whisker: Whisker, signals: ArrayLike) -> Encoded:
         """The contact that gives these signals: of two signals, or of the moment at a known angle.
 
         Newton's method from the closed-form inverse, or from the nearest contact of a coarse map;
@@ -149,7 +149,7 @@ class ForceMap(Cue):
             wanted = readings("signals", wanted, 2)
             order = np.argsort(self._columns)  # as the closed form has them
             ordered = ForceMap([self.signal_names[i] for i in order])
-            contact = ordered._solve(whisker, wanted[..., order], steps)
+            contact = ordered._solve(whisker, wanted[..., order])
         else:
             raise ValueError(
                 f"There is no unique contact for the signals of {self!r}; write "
@@ -176,20 +176,20 @@ class ForceMap(Cue):
             low, high = np.where(farther, middle, low), np.where(farther, high, middle)
         return np.where(inside, (low + high) / 2, np.nan)
 
-    def _solve(self, whisker: Whisker, wanted: Array, steps: int) -> Array:
+    def _solve(self, whisker: Whisker, wanted: Array) -> Array:
         contact = np.full(wanted.shape, np.nan)
         if self.signal_names == SIGNALS[:2]:
             forward = forward_of(whisker)
             r, bent = closed_form.contact_from_signals(forward.base, wanted[..., 0], wanted[..., 1])
             known = np.isfinite(r)
             angle = bent + forward.hinge_compliance * wanted[..., 0]
-            contact[known] = self._newton(whisker, wanted[known], r[known], angle[known], steps)
+            contact[known] = self._newton(whisker, wanted[known], r[known], angle[known])
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
         missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
         one_to_one = not forward_of(whisker).is_plain or np.any(whisker.taper)
         if np.any(missed) and (one_to_one or self.signal_names != SIGNALS[:2]):
             contact[missed] = self._newton(
-                whisker, wanted[missed], *self._nearest(whisker, wanted[missed]), steps
+                whisker, wanted[missed], *self._nearest(whisker, wanted[missed])
             )
         return contact
 
@@ -216,7 +216,7 @@ class ForceMap(Cue):
         ]
         return grid[best, 0], grid[best, 1]
 
-    def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array, steps: int) -> Array:
+    def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array) -> Array:
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
         forward = forward_of(whisker)
         length = forward.reach
@@ -224,7 +224,7 @@ class ForceMap(Cue):
         found, size = np.full(wanted.shape, np.nan), self._size(whisker, wanted)
         left = np.arange(len(wanted))
         least, since = np.full(len(wanted), np.inf), np.zeros(len(wanted), dtype=int)
-        for _ in range(steps):
+        for _ in range(60):
             r, theta = contact[left].T
             point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
             signals = self.signals(whisker, point)[0]

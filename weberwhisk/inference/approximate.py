@@ -154,12 +154,12 @@ def prior_precision(observer: Observer) -> Array:
     return np.diag(np.where(np.arange(len(observer.unknowns)) < observer.bounded, 0.25, 1.0))
 
 
-def _hessian(observer: Observer, reading: Array, x: Array, *, h: float = 1e-4) -> Array:
+def _hessian(observer: Observer, reading: Array, x: Array) -> Array:
     """Second derivatives (B, U, U) of ln of the density at x (B, U), by differences.
 
     Posteriors are 0.005 wide in x, and wider. The prior's where a point is outside the support.
     """
-    dim, prior = x.shape[1], prior_precision(observer)
+    dim, prior, h = x.shape[1], prior_precision(observer), 1e-4
     out = np.zeros((len(x), dim, dim))
     for i in range(dim):
         for j in range(i + 1):
@@ -378,7 +378,7 @@ def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> Fla
 
 
 def _start(
-    observer: Observer, reading: Array, density: Any, rng: np.random.Generator, places: int = 6
+    observer: Observer, reading: Array, density: Any, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Walkers (B, E, W, U) of four ensembles, inside the support, and the modes (B, U).
 
@@ -387,7 +387,7 @@ def _start(
     Walkers are drawn about each by the inverse of the information there, in proportion to the mass
     that this would be.
     """
-    dim, bounded = len(observer.unknowns), observer.bounded
+    dim, bounded, places = len(observer.unknowns), observer.bounded, 6
     along, others = {1: (257, 1), 2: (45, 9)}.get(dim, (25, 5))
     scatter = observer.space.spread(expit(np.linspace(-7.0, 6.0, along)), others=others)
     shape = (along,) * bounded + (others,) * (dim - bounded)

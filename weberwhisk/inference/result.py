@@ -370,8 +370,9 @@ def held_prior(observer: Observer, r: Array, given: float | None = None) -> Arra
     return np.asarray(held @ weight / weight.sum())
 
 
-def contact_slope(space: ContactCoordinates, x: Array, *, h: float = 1e-5) -> Array:
+def contact_slope(space: ContactCoordinates, x: Array) -> Array:
     """d contact/dx, (B, U, U), by central differences."""
+    h = 1e-5
     steps = h * np.eye(x.shape[1])
     ends = (space.constrain(x[:, None] + sign * steps)[0] for sign in (1, -1))
     return np.asarray(np.subtract(*ends).swapaxes(1, 2) / (2 * h))

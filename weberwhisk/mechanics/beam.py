@@ -360,18 +360,10 @@ def _determinant(state: Array) -> Array:
 
 
 def follow_each(
-    rows: Rows,
-    arc: Array,
-    force: Array,
-    friction: Array,
-    steps: NDArray[np.int64],
-    block: int = 2000,
+    rows: Rows, arc: Array, force: Array, friction: Array, steps: NDArray[np.int64]
 ) -> Path:
-    """`follow` with a number of steps for each row; no warning is raised.
-
-    In blocks of rows whose slopes fit the cache.
-    """
-    counts = np.unique(steps)
+    """`follow` with a number of steps for each row; no warning is raised."""
+    counts, block = np.unique(steps), 2000  # rows whose slopes fit the cache
     path: Path | None = None
     with np.errstate(all="ignore"):
         if counts.size <= 1 and arc.size <= block:

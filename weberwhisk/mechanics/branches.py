@@ -38,8 +38,9 @@ class NotFound(Exception):
     """A fold that is not found."""
 
 
-def extended(rows: Rows, beyond: float = 2.5) -> Rows:
-    """The whiskers, going on beyond their tips to the apex, or to `beyond` lengths."""
+def extended(rows: Rows) -> Rows:
+    """The whiskers, going on beyond their tips to the apex, or to 2.5 lengths."""
+    beyond = 2.5
     gap = rows.arc[-1] - rows.arc[-2]
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.where(gap > 0, (rows.radius[-1] - rows.radius[-2]) / gap, 0.0)

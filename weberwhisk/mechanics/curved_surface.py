@@ -240,9 +240,9 @@ class CurvedSurface:
         share = np.tile(self._at(nodes(along)), reach.size)
         self._safe = 0.98 * float(np.min(share[slips], initial=1.0)) - 0.5 / along**2
 
-    def _certified(self, count: int = 60) -> float:
-        """The largest error of contacts all over, beside solving for each, over lateral force."""
-        rng = np.random.default_rng(20261122)
+    def _certified(self) -> float:
+        """The largest error of 60 contacts all over, beside solving each, over lateral force."""
+        rng, count = np.random.default_rng(20261122), 60
         given = self._given([rng.random(count) for _ in self._axes])
         reach = self._reach @ self._polynomials(given) * np.ones(count)
         r = reach * self.length * rng.uniform(0.01, 0.999, count)

@@ -68,8 +68,9 @@ class Scenes:
         given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
         return cls(base, shape, length, force, rows_of(profile, shape), given)
 
-    def pieces(self, size: int = 32768) -> Iterator[tuple[slice, Rows, list[Array]]]:
-        """Pieces of so many scenes: where they are, their whiskers and their arguments."""
+    def pieces(self) -> Iterator[tuple[slice, Rows, list[Array]]]:
+        """Pieces of 32 768 scenes: where they are, their whiskers and their arguments."""
+        size = 32768
         for start in range(0, self.length.size, size):
             part = slice(start, start + size)
             yield part, self.rows.take(part), [a[part] for a in self.given]
@@ -248,7 +249,7 @@ def _guess(
     return compliance, f, np.clip(s, 0.5 * start, 1.0), np.clip(steps, 1, 4).astype(np.int64)
 
 
-def _winds(rows: Rows, most: float = 1.5) -> Flags:
+def _winds(rows: Rows) -> Flags:
     """So curled that a stable contact may lie on another branch than the first: it is walked.
 
     By the turn of the whisker at rest, rad: up to about twice a rat's Newton's method is trusted.
@@ -256,7 +257,7 @@ def _winds(rows: Rows, most: float = 1.5) -> Flags:
     if rows.law is None:
         return np.zeros(rows.radius.shape[1], dtype=bool)
     turns = [np.abs(rows.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
-    return np.asarray(np.max(turns, axis=0) > most)
+    return np.asarray(np.max(turns, axis=0) > 1.5)
 
 
 def at_points(

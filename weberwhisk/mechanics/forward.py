@@ -445,12 +445,10 @@ def _angle(forward: ForwardModel, p: Array, r: Array, top: Array, compliance: Ar
 
 
 @lru_cache(maxsize=64)
-def _peaks(
-    forward: ForwardModel, low: float, high: float, count: int = 400, compliances: int = 33
-) -> Callable[[Array, Array], Array]:
+def _peaks(forward: ForwardModel, low: float, high: float) -> Callable[[Array, Array], Array]:
     """p (n,) at which θ is largest, at r and Λ: to first order no error is one of θ."""
-    place = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, count)) ** 2
-    soft = np.geomspace(low, high, compliances) if high > low else np.array([low])
+    place = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, 400)) ** 2
+    soft = np.geomspace(low, high, 33) if high > low else np.array([low])
     r, compliance = (a.ravel() for a in np.meshgrid(place, soft, indexing="ij"))
     step, end, top = 1e-4, np.full(r.shape, np.pi / 2), forward.limit(r)
 
@@ -461,7 +459,7 @@ def _peaks(
     if falls.any():
         at = tuple(a[falls] for a in (r, top, compliance))
         end[falls] = find_root(rise, (np.full(at[0].shape, step), end[falls]), args=at).x - step / 2
-    peak = end.reshape(count, -1)
+    peak = end.reshape(len(place), -1)
     if not high > low:
         return lambda r, compliance: np.interp(r, place, peak[:, 0])
     table = RegularGridInterpolator((place, np.log(soft)), peak)

@@ -210,9 +210,9 @@ def _advance(
     goal: float,
     last: Array,
     stride: float,
-    smallest: float = 1e-6,
 ) -> tuple[Touch, Array, float, float, Array, Outcome]:
     """One step of a sweep towards `goal`, halved until it is taken or the end is found."""
+    smallest = 1e-6
     step = min(goal - now, max(stride, 2 * smallest))
     while True:
         there = goal if step == goal - now else now + step
@@ -276,10 +276,11 @@ def slope(forward: Any, r: Array, theta: Array) -> Array:
     return np.asarray(np.tan(contact_angle(forward, inside, theta) - theta) / inside)
 
 
-def rate_on_wall(forward: Any, r: Array, theta: Array, step: float = 1e-5) -> Array:
+def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
     """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held."""
     r = np.clip(r, 1e-3 * forward.length, forward.reach)
     # On this side of the largest angles and of the tip.
+    step = 1e-5
     inwards = r * (1 - step)
     rest, beside = forward.rest(r), forward.rest(inwards)
     push = np.maximum(theta - rest, 1e-6 + 2 * np.abs(rest - beside))
