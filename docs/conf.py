@@ -8,7 +8,11 @@ import json
 import os
 import re
 import runpy
+import shutil
+import subprocess
 import sys
+import tarfile
+import tempfile
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
@@ -27,6 +31,37 @@ os.environ["PYTHONPATH"] = str(ROOT)
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 import weberwhisk  # noqa: E402
+
+#: MathJax and its font, by their folders in the site, with what is needed of them.
+MATHJAX = {
+    "mathjax": ("mathjax@4.1.3", ("tex-mml-chtml.js", "a11y", "input", "output", "sre", "ui")),
+    "mathjax-newcm-font": ("@mathjax/mathjax-newcm-font@4.1.3", ("chtml.js", "chtml")),
+}
+
+
+def mathjax_from_npm(target: Path) -> bool:
+    """Fetch MathJax, so that the site needs no network; False without npm: then from jsDelivr."""
+    npm = shutil.which("npm")
+    if npm is None:
+        return False
+    target.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target) as folder:
+        for name, (package, parts) in MATHJAX.items():
+            pack = [npm, "pack", "--silent", package]
+            packed = subprocess.run(pack, cwd=folder, capture_output=True, text=True)
+            if packed.returncode:
+                return False
+            with tarfile.open(Path(folder) / packed.stdout.split()[-1]) as archive:
+                archive.extractall(folder, filter="data")
+            for part in parts:
+                (Path(folder) / name).mkdir(exist_ok=True)
+                (Path(folder) / "package" / part).rename(Path(folder) / name / part)
+            shutil.rmtree(Path(folder) / "package")
+        for name in reversed(MATHJAX):  # that which is looked for comes last
+            shutil.rmtree(target / name, ignore_errors=True)
+            (Path(folder) / name).rename(target / name)
+    return True
+
 
 project = "weberwhisk"
 author = "the weberwhisk authors"
@@ -49,7 +84,7 @@ templates_path = ["_templates"]
 nitpicky = True
 default_role = "obj"
 
-mathjax4_config = {"output": {"displayOverflow": "linebreak"}}  # on a phone
+mathjax4_config: dict[str, Any] = {"output": {"displayOverflow": "linebreak"}}  # on a phone
 
 # Pages that run. A cell that raises is an error of the build.
 nb_execution_mode = "cache"
@@ -62,13 +97,19 @@ myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
+VENDORED = HERE / "_build" / "vendored"
+if (VENDORED / "mathjax").exists() or mathjax_from_npm(VENDORED):
+    html_static_path.append(str(VENDORED))
+    mathjax_path = "mathjax/tex-mml-chtml.js"
+    mathjax4_config["loader"] = {"paths": {"fonts": "[mathjax]/.."}}
 html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
+html_sidebars = {f"validation/{page}": [] for page in ("lapse_prior", "real_data", "recovery")}
 html_theme_options = {
     "navigation_with_keys": False,
     "show_prev_next": True,
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 5,
     "footer_start": ["copyright"],
     "footer_end": [],
     "secondary_sidebar_items": ["page-toc"],

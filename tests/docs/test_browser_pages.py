@@ -233,6 +233,39 @@ def test_main_pages_can_be_read_by_all_and_fit_a_phone(
             context.close()
 
 
+#: How many pixels of each table of a page lie behind the edge of what shows it.
+HIDDEN = """() => [...document.querySelectorAll("main table")].map((table) => {
+  let edge = document.documentElement.clientWidth;
+  for (let box = table.parentElement; box; box = box.parentElement)
+    if (getComputedStyle(box).overflowX !== "visible")
+      edge = Math.min(edge, box.getBoundingClientRect().left + box.clientWidth);
+  return table.getBoundingClientRect().right - edge;
+})"""
+
+
+def test_tables_and_maths_are_seen_whole_without_a_network(
+    chromium: Any, documentation: Path
+) -> None:
+    """Each table at 1280 px, those of how to choose on a phone, the header on one line."""
+    site = [p.relative_to(documentation) for p in documentation.rglob("*.html")]
+    pages = [str(p) for p in site if p.parts[0] not in ("api", "browser", "_static")]
+    with _served(documentation) as address:
+        for width, looked_at in (
+            (1280, pages),
+            (390, ["start/choose.html", "start/which_tool.html"]),
+        ):
+            page = chromium.new_page(viewport={"width": width, "height": 900})
+            page.route(lambda url: not url.startswith(address), lambda route: route.abort())
+            for name in looked_at:
+                page.goto(address + name)
+                assert max(page.evaluate(HIDDEN), default=0) <= 1, (width, name)
+            assert page.evaluate("document.querySelector('.bd-header').offsetHeight") <= 80
+            page.goto(f"{address}theory/jnd.html")
+            page.wait_for_selector("mjx-container")
+            assert page.locator("mjx-merror").count() == 0
+            page.close()
+
+
 def test_every_link_within_the_documentation_leads_somewhere(documentation: Path) -> None:
     pages = {p: p.read_text("utf-8") for p in documentation.rglob("*.html")}
     named = {page: set(re.findall(r'\b(?:id|name)="(.+?)"', text)) for page, text in pages.items()}
