@@ -20,7 +20,7 @@ import pandas as pd
 
 import weberwhisk as ww
 from weberwhisk import plots
-from weberwhisk.behaviour import CueEncoding, methods_paragraph
+from weberwhisk.behaviour import CueEncoding
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.plan_file import preregistration
 from weberwhisk.recordings.files import load_table
@@ -128,7 +128,7 @@ def fit(fields: Fields) -> Shown:
         return _together(trials, encoding)
     found = ww.fit_weber(trials, encoding=encoding)
     report, summary = found.report(), found.summary().reset_index()
-    methods = methods_paragraph(found)
+    methods = found.methods()
     shown: Shown = {
         "texts": [_text("Report", report), _text("For a methods section", methods)],
         "tables": [_table("Estimates", summary)],
@@ -219,7 +219,7 @@ def _together(trials: ww.Trials, encoding: CueEncoding | None) -> Shown:
     shown: Shown = {
         "texts": [
             _text("Report", said[:1].upper() + said[1:]),
-            _text("For a methods section", methods_paragraph(found)),
+            _text("For a methods section", found.methods()),
         ],
         "tables": [_table("The population", summary), _table("The animals", found.subjects)],
         "files": [_file("animals.csv", found.subjects.to_csv(index=False))],

@@ -14,7 +14,6 @@ from weberwhisk.behaviour import (
     CueEncoding,
     effects,
     fit_population,
-    methods_paragraph,
     simulate_population,
 )
 from weberwhisk.behaviour.priors import DEFAULTS
@@ -140,8 +139,8 @@ def test_the_belief_about_levels_is_the_prior_that_it_says() -> None:
     assert fit.interval() == pytest.approx(same.interval(), rel=1e-9)
     assert fit.summary()["prior"]["weber_fraction"].endswith("about the levels shown")
     assert "about the levels shown" in fit.report()
-    assert "about the levels shown" in methods_paragraph(fit)
-    assert "levels" not in methods_paragraph(same)
+    assert "about the levels shown" in fit.methods()
+    assert "levels" not in same.methods()
     other = fit_weber(trials, priors=LEVELS | {"lapse_low": 0.0}).model.priors
     assert (other.words("lapse_low"), other.words("lapse_high")) == ("fixed at 0", "beta(0.5, 9.5)")
 
@@ -159,7 +158,7 @@ def test_animals_shown_other_levels_lay_the_prior_at_their_geometric_mean() -> N
     assert alone[0] < 0.8 * alone[1]
     together = fit_population(fewer, priors=LEVELS)
     assert together.believed.weber_fraction.median() == pytest.approx(np.sqrt(np.prod(alone)))
-    assert "about the levels shown" in methods_paragraph(together)
+    assert "about the levels shown" in together.methods()
 
 
 def test_levels_are_refused_where_they_say_nothing_of_k() -> None:

@@ -646,7 +646,7 @@ def test_the_rat_is_not_always_engaged() -> None:
     trials = load_rat_auditory(range(31, 36))
     one, three = (fit_weber(trials, bias="per standard", states=n) for n in (1, 3))
     assert one.status is FitStatus.MISFIT_STREAKS
-    assert "fit_weber(trials, states=3)" in one.report()
+    assert 'fit_weber(trials, bias="per standard", states=3)' in one.report()
     assert one.log_evidence is not None
     assert three.log_evidence is not None
     assert three.log_evidence > one.log_evidence + 10

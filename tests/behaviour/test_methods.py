@@ -12,7 +12,7 @@ import scipy
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk.behaviour import CueEncoding, methods_paragraph
+from weberwhisk.behaviour import CueEncoding
 
 DATA = Path(__file__).parents[2] / "data_synthetic"
 
@@ -23,7 +23,7 @@ def _read(name: str) -> ww.Trials:
 
 def test_counts_priors_and_versions_are_said() -> None:
     trials = _read("weights_three_standards.csv")
-    text = methods_paragraph(ww.fit_weber(trials))
+    text = ww.fit_weber(trials).methods()
     for words in (
         f"{trials.n_trials} trials (9 without an answer were left out) of the task 2AFC",
         f"{trials.cells().n.size} pairs of stimuli at 3 standards",
@@ -42,7 +42,7 @@ def test_what_is_fixed_left_out_or_believed_otherwise_is_said() -> None:
     table = pd.read_csv(DATA / "weights_three_standards.csv")
     table = table.dropna()
     own = {"lapse_low": 0.02, "lapse_high": stats.beta(1, 50)}
-    text = methods_paragraph(ww.fit_weber(ww.read_trials(table), bias="none", priors=own))
+    text = ww.fit_weber(ww.read_trials(table), bias="none", priors=own).methods()
     assert f"{len(table)} trials of the task" in text
     assert "lapse_high ~ beta(1, 50), lapse_low fixed at 0.02." in text
     assert "Φ(d)" in text
@@ -52,18 +52,18 @@ def test_what_is_fixed_left_out_or_believed_otherwise_is_said() -> None:
 def test_a_whisker_is_described() -> None:
     tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
     trials = _read("distance_tapered.csv")
-    text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(tap, unit=1e-3)))
+    text = ww.fit_weber(trials, encoding=CueEncoding(tap, unit=1e-3)).methods()
     assert "a tapered whisker (50 mm long, radius 100 to 5 µm) by its rotational compl" in text
     assert "receptors Weber: the signal is noisy with an sd of the Weber fraction k times" in text
     other = replace(tap, noise=ww.receptors.LogNormal(0.1))
-    text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(other, unit=1e-3)))
+    text = ww.fit_weber(trials, encoding=CueEncoding(other, unit=1e-3)).methods()
     assert "receptors LogNormal. " in text
 
 
 @pytest.mark.once
 def test_a_population_is_described() -> None:
     found = ww.fit_population(_read("animals_six.csv"))
-    text = methods_paragraph(found)
+    text = found.methods()
     assert (
         f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k is normal" in text
     )

@@ -21,7 +21,6 @@ from weberwhisk.behaviour import (
     Trials,
     compare,
     fit_weber,
-    methods_paragraph,
     read_trials,
     simulate_trials,
     weber_law_test,
@@ -271,7 +270,7 @@ def test_report_methods_and_records_speak_of_states(
 ) -> None:
     _, fit = animals[0]
     assert "The animal was engaged on" in fit.report()
-    said = methods_paragraph(fit)
+    said = fit.methods()
     assert "hidden Markov chain of three states" in said
     assert "importance sampling" in said
     for name in STATE_PRIORS[3]:

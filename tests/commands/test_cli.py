@@ -486,7 +486,8 @@ def test_simulate_and_fit_find_the_truth_again(
     assert made == {
         "trials.csv", "trials.png", "trials.svg", "truth.json",
         "simulate.run.json", "fit.csv",
-        "fit.json", "fit_report.txt", "psychometric.png", "psychometric.svg", "fit.run.json",
+        "fit.json", "fit_report.txt", "fit_methods.txt", "psychometric.png", "psychometric.svg",
+        "fit.run.json",
     }  # fmt: skip
     assert json.loads((out / "fit.json").read_text("utf-8")) == found
 
@@ -562,12 +563,36 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
     known = ["--bias", "none"]  # one unknown less to integrate
     assert run_app(cli.app, ["fit", file, "--together", *known, "--out", str(out)]) == 0
-    assert "weber_fraction" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Population, median Weber fraction: 0." in said
+    assert said.startswith((out / "fit_report.txt").read_text("utf-8"))
+    assert "of 3 animals" in (out / "fit_methods.txt").read_text("utf-8")
     found = json.loads((out / "fit.json").read_text("utf-8"))
     assert [row["subject"] for row in found["subjects"]] == ["s1", "s2", "s3"]  # type: ignore[attr-defined, union-attr]
     made = {path.name for path in out.iterdir()}
     figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
-    assert made == {"fit.json", "fit.run.json", "subjects.csv"} | figures
+    texts = {"fit_report.txt", "fit_methods.txt"}
+    assert made == {"fit.json", "fit.run.json", "subjects.csv"} | texts | figures
+
+
+def test_fit_of_states_has_the_course_of_engagement(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trials = ww.simulate_trials(
+        sessions=2, trials_per_level=20, states=ww.behaviour.States(engaged=0.6), seed=3
+    )
+    file, out = tmp_path / "trials.csv", tmp_path / "out"
+    trials.frame.rename(columns={"count": "choice"}).drop(columns="n").to_csv(file, index=False)
+    assert run_app(cli.app, ["fit", str(file), "--states", "3", "--out", str(out)]) == 0
+    assert "The animal was engaged on" in capsys.readouterr().out
+    assert "three states" in (out / "fit_methods.txt").read_text("utf-8")
+    course = pd.read_csv(out / "engagement.csv")
+    assert course["engaged"].between(0, 1).all()
+    assert len(course) == len(trials.frame)
+    assert (out / "engagement.png").is_file()
+    assert "leave --effect, --states" in refused(
+        capsys, "fit", str(file), "--states", "3", "--together"
+    )
 
 
 HEADER = "stimulus_1,stimulus_2,choice"
@@ -592,7 +617,7 @@ HEADER = "stimulus_1,stimulus_2,choice"
         ([HEADER, "1,2,1"], ["--lapse-prior", "0,3"], "takes two numbers above zero"),
         ([HEADER, "1,2,1"], ["--compare", "nois"], "did you mean 'noise'?"),
         ([HEADER, "1,2,1"], ["--compare", "taper"], "needs a whisker"),
-        ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --compare"),
+        ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --states"),
         ([HEADER, "1,2,1"], ["--together"], "there is no column 'subject'"),
     ],
 )

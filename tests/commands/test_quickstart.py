@@ -121,7 +121,7 @@ def test_the_text_says_what_was_found(folder: Path, numbers: dict) -> None:
 
 def test_it_says_on_the_terminal_what_it_wrote(run: tuple[Path, str, str]) -> None:
     folder, out, err = run
-    assert err == ""
+    assert all("left" in line for line in err.splitlines())  # progress, on a slow machine
     assert (folder / "quickstart.txt").read_text("utf-8") in out
     assert f"Written to {folder}: " in out
     assert "D1 whisker" in out

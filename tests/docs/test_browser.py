@@ -22,7 +22,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.behaviour import CueEncoding, methods_paragraph
+from weberwhisk.behaviour import CueEncoding
 
 ROOT = Path(__file__).parents[2]
 BROWSER, DATA = ROOT / "docs" / "browser", ROOT / "data_synthetic"
@@ -131,7 +131,7 @@ def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: 
     )
     assert [text["body"] for text in shown["texts"]] == [
         fit.report(),
-        methods_paragraph(fit),
+        fit.methods(),
     ]
     estimates = shown["tables"][0]
     row = dict(zip(estimates["columns"], estimates["rows"][0], strict=True))

@@ -17,11 +17,11 @@ import pytest
 from scipy.io import savemat
 
 import weberwhisk as ww
-from weberwhisk.behaviour import methods_paragraph
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.session import bpod_table, psychopy_tables
+from weberwhisk.recordings import methods_paragraph
 
 ROOT = Path(__file__).parents[2]
 

@@ -14,7 +14,6 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
-from weberwhisk.behaviour import methods_paragraph
 from weberwhisk.cues import (
     BalanceOfMoments,
     Compliance,
@@ -26,6 +25,7 @@ from weberwhisk.cues import (
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import CurvedSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.recordings import methods_paragraph
 from weberwhisk.sensitivity import prior_draws
 from weberwhisk.sweeping import SweepFilter
 from weberwhisk.whisker import identities, rest_shape

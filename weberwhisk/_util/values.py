@@ -11,15 +11,18 @@ from dataclasses import fields, is_dataclass
 from enum import IntEnum
 from html import escape
 from importlib import import_module
+from importlib.metadata import version
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import __version__
+
 __all__ = [
     "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded", "counted",
-    "in_short", "interval_text", "member", "paragraphs", "pd", "with_units",
+    "in_short", "interval_text", "member", "methods_text", "paragraphs", "pd", "with_units",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -306,6 +309,12 @@ def counted(number: int, thing: str) -> str:
     ('1 trial', '2 trials')
     """
     return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def methods_text(sentences: Sequence[str]) -> str:
+    """Sentences of a methods section as one paragraph, which ends in what they were done with."""
+    made = f"weberwhisk {__version__} (NumPy {version('numpy')}, SciPy {version('scipy')})"
+    return " ".join([*sentences, f"This was done with {made}."])
 
 
 def paragraphs(parts: Mapping[str, Sequence[str]], width: int | None = None) -> str:

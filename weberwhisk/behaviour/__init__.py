@@ -12,7 +12,6 @@ from .fit import StateFit, WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
-from .methods import methods_paragraph
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import Priors
 from .psychometric import response_probability, threshold
@@ -27,7 +26,7 @@ __all__ = [
     "LogAxisEncoding", "LogEncoding", "PercentCorrect", "PooledEncoding", "PopulationFit",
     "PopulationStatus", "Priors", "SignedChoice", "StateFit", "States", "Task", "Trials",
     "WeberFit", "WeberLawTest", "checks", "compare", "fit_population", "fit_weber",
-    "load_numerosity", "load_rat_auditory", "methods_paragraph", "quantile_residuals",
+    "load_numerosity", "load_rat_auditory", "quantile_residuals",
     "read_trials", "residuals_by", "response_probability", "simulate_moving", "simulate_population",
     "simulate_trials", "task_named", "threshold", "weber_law_test", "with_distances",
 ]  # fmt: skip

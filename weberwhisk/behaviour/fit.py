@@ -13,7 +13,7 @@ from .._util import checks
 from .._util.sampling import ArvizData
 from .._util.threads import one_blas_thread
 from .._util.values import Array, pd
-from . import report
+from . import methods, report
 from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates, tails
@@ -66,6 +66,20 @@ class WeberFit(Estimates):
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
         return report.report(self)
+
+    def methods(self) -> str:
+        """What was done, as a methods section says it: one paragraph without line breaks.
+
+        Numbers are the fit's; priors are named as SciPy names its distributions.
+
+        Examples
+        --------
+        >>> from weberwhisk import fit_weber, simulate_trials
+        >>> fit = fit_weber(simulate_trials(trials_per_level=10, seed=1))
+        >>> "lapse_low ~ beta(0.7, 20)" in fit.methods()
+        True
+        """
+        return methods.of_fit(self)
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
-
-import numpy as np
-import pandas as pd
-
-from .. import __version__
-from .._util.values import counted
-from ..inference.coordinates import in_words
+from .._util.values import counted, methods_text
 from ..receptors import Weber
-from ..recordings.locate import methods_of
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates
-from .population_fit import PopulationFit
 from .tasks import SignedChoice
 
-__all__ = ["methods_paragraph"]
+__all__ = ["encoded", "how", "of_fit", "priors"]
 
 _NOISE = {
     "weber": "an sd of the Weber fraction k times its own signal",
@@ -39,42 +30,15 @@ _STATES = {
 }
 
 
-def methods_paragraph(fit: Estimates | PopulationFit | pd.DataFrame) -> str:
-    """What was done to choices or contacts, as a methods section says it; numbers are the result's.
-
-    Parameters
-    ----------
-    fit : WeberFit, PopulationFit or DataFrame
-        A table as of `locate`.
-
-    Returns
-    -------
-    str
-        One paragraph without line breaks. Priors are named as SciPy names its distributions.
-
-    Examples
-    --------
-    >>> from weberwhisk import fit_weber, simulate_trials
-    >>> text = methods_paragraph(fit_weber(simulate_trials(trials_per_level=10, seed=1)))
-    >>> "lapse_low ~ beta(0.7, 20)" in text
-    True
-    """
-    if isinstance(fit, pd.DataFrame):
-        said = methods_of(fit)
-    else:
-        said = _of_many(fit) if isinstance(fit, PopulationFit) else _of_one(fit)
-    made = f"weberwhisk {__version__} (NumPy {np.__version__}, SciPy {version('scipy')})"
-    return " ".join([*said, f"This was done with {made}."])
-
-
-def _of_one(fit: Estimates) -> list[str]:
+def of_fit(fit: Estimates) -> str:
+    """What was done to the choices of one observer."""
     trials, cells = fit.trials, fit.model.cells
     missing = f" ({trials.n_missing} without an answer were left out)" if trials.n_missing else ""
     said = [
         f"A model of the observer was fitted to {counted(trials.n_trials, 'trial')}{missing} of "
         f"the task {trials.task.name}, with {counted(cells.n.size, 'pair')} of stimuli at "
         f"{counted(fit.standards.size, 'standard')}.",
-        _encoded(fit.encoding, _NOISE[fit.noise]),
+        encoded(fit.encoding, fit.noise),
     ]
     if fit.model.encodings.has_spread:
         said.append(
@@ -92,42 +56,27 @@ def _of_one(fit: Estimates) -> list[str]:
         said.append(_STATES[fit.model.n_states])
     if fit.effects:
         said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
-    return [*said, _priors(fit), _how(fit.method), f"The fit's status: {fit.status.name}."]
+    said += [priors(fit), how(fit.method), f"The fit's status: {fit.status.name}."]
+    return methods_text(said)
 
 
-def _priors(fit: Estimates, *more: str) -> str:
+def priors(fit: Estimates, *more: str) -> str:
     """Every parameter with its prior, in a sentence."""
     believed, task = fit.model.priors, fit.trials.task
     correlated = ""
     if len(task.lapses) == 2 and not any(believed.is_fixed(name) for name in task.lapses):
         rho = believed.lapse_correlation
         correlated = f"; the normal scores of the two lapse rates correlate by {rho:g}"
-    priors = [f"{name} ~ {believed.words(name)}" for name in fit.parameters]
+    said = [f"{name} ~ {believed.words(name)}" for name in fit.parameters]
     given = {n: n for n in fit.model.lead if not n.startswith("lapse_") or n in task.lapses}
     given |= {"bias": task.bias_name or ""} if fit.bias != "none" else {}
-    priors += [f"{name} {believed.words(n)}" for n, name in given.items() if believed.is_fixed(n)]
-    return f"Parameters and priors: {', '.join([*priors, *more])}{correlated}."
+    said += [f"{name} {believed.words(n)}" for n, name in given.items() if believed.is_fixed(n)]
+    return f"Parameters and priors: {', '.join([*said, *more])}{correlated}."
 
 
-def _of_many(fit: PopulationFit) -> list[str]:
-    status = f"The fit's status: {fit.status.name}."
-    if fit.population is None:
-        return [*fit.notes, status]
-    used = fit.subjects[fit.subjects["weber_fraction"].notna()]
-    one = next(iter(fit.fits.values()))
-    return [
-        f"A hierarchical model was fitted to {counted(int(used['n'].sum()), 'trial')} of the task "
-        f"{one.trials.task.name}, of {counted(len(used), 'animal')}: ln k is normal between "
-        "animals, each learning from the others (partial pooling).",
-        *fit.notes,
-        _encoded(one.encoding, _NOISE[one.noise]),
-        _priors(one, f"spread ~ {in_words(fit.spread_prior)}"),
-        _how("quadrature"),
-        status,
-    ]
-
-
-def _encoded(encoding: Encoding, noise: str) -> str:
+def encoded(encoding: Encoding, noise_name: str) -> str:
+    """How stimuli become noisy signals, in a sentence."""
+    noise = _NOISE[noise_name]
     if isinstance(encoding, IdentityEncoding):
         return f"The signal of a stimulus is its magnitude, noisy with {noise}."
     if isinstance(encoding, CueEncoding):
@@ -140,7 +89,8 @@ def _encoded(encoding: Encoding, noise: str) -> str:
     return f"Stimuli are encoded by {described(encoding)}."
 
 
-def _how(method: str) -> str:
+def how(method: str) -> str:
+    """How posteriors were computed, in a sentence."""
     by = {"quadrature": "by quadrature", "importance": "by importance sampling"}.get(
         method, f"with {method}"
     )

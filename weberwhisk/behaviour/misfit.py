@@ -6,6 +6,8 @@ was believed beforehand. Either is its status, which says what to write next.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -13,7 +15,7 @@ from .criticism import checks
 from .estimates import Estimates
 from .verdict import FitStatus, too_few_kinds, verdict
 
-__all__ = ["advice", "judged"]
+__all__ = ["FALSE_ALARMS", "advice", "judged"]
 
 #: Share of stationary animals in which some check may fire: each has its part of it.
 FALSE_ALARMS = 0.05
@@ -84,30 +86,30 @@ def advice(fit: Estimates) -> str | None:
     )
     if fit.status is FitStatus.MISFIT_STREAKS:
         new = several and "drift" not in fit.effects
-        either = f" and {_with(fit, ['Drift()'])}" if new else ""
+        either = f" and {_with(fit, 'Drift')}" if new else ""
         return (
-            f"Nothing yet: first fit_weber(trials, states=3){either}, and keep the fit with the "
+            f"Nothing yet: first {_with(fit, states=3)}{either}, and keep the fit with the "
             "greatest log_evidence."
         )
     if fit.status is FitStatus.MISFIT_HISTORY:
         missing = [
-            f"{effect}()"
+            effect
             for effect, name in (("History", "history"), ("WinStay", "win_stay"))
             if name not in fit.effects
         ]
-        return f"Nothing yet: first {_with(fit, missing) if missing else fewer}."
+        return f"Nothing yet: first {_with(fit, *missing) if missing else fewer}."
     if fit.status is FitStatus.MISFIT_DRIFT:
         new = several and "drift" not in fit.effects
-        return f"Nothing yet: first {_with(fit, ['Drift()']) + ', or ' if new else ''}{fewer}."
+        return f"Nothing yet: first {_with(fit, 'Drift') + ', or ' if new else ''}{fewer}."
     if fit.status is FitStatus.MISFIT_OVERDISPERSION:
         new = fit.model.n_states == 1 and fit.model.dispersed is None
-        return f"Nothing yet: first {_with(fit, ['Overdispersion()']) if new else fewer}."
+        return f"Nothing yet: first {_with(fit, 'Overdispersion') if new else fewer}."
     if fit.status is FitStatus.MISFIT_CURVE:
         model = fit.model
         if model.task.has_bias and fit.bias != "per standard" and fit.standards.size > 1:
-            return 'Nothing yet: first fit_weber(trials, bias="per standard").'
+            return f"Nothing yet: first {_with(fit, bias='per standard')}."
         if fit.noise == "weber":
-            return 'Nothing yet: first fit_weber(trials, noise="equal-variance"), or an encoding.'
+            return f"Nothing yet: first {_with(fit, noise='equal-variance')}, or an encoding."
         return f"Nothing yet: first {fewer}."
     if fit.status is FitStatus.PRIOR_DEPENDENT:
         return (
@@ -118,12 +120,15 @@ def advice(fit: Estimates) -> str | None:
     return None
 
 
-def _with(fit: Estimates, more: list[str]) -> str:
-    """A fit with more effects, as one would write it."""
-    names = [type(effect).__name__ + "()" for effect in fit.model.effects] + more
-    needed = ", ".join(name.removesuffix("()") for name in names)
-    states = f", states={fit.model.n_states}" if fit.model.n_states > 1 else ""
-    return (
-        f"fit_weber(trials, effects=[{', '.join(names)}]{states}), with from "
-        f"weberwhisk.behaviour.effects import {needed}"
-    )
+def _with(fit: Estimates, *more: str, **changed: Any) -> str:
+    """The same fit with more effects or another option, as one would write it."""
+    names = [type(effect).__name__ for effect in fit.model.effects] + list(more)
+    usual = {"bias": "shared" if fit.model.task.has_bias else "none", "noise": "weber", "states": 1}
+    options = {"bias": fit.bias, "noise": fit.noise, "states": fit.model.n_states} | changed
+    said = [f"effects=[{', '.join(name + '()' for name in names)}]"] if names else []
+    for name, value in options.items():
+        if value != usual[name]:
+            said.append(f'{name}="{value}"' if isinstance(value, str) else f"{name}={value}")
+    call = f"fit_weber({', '.join(['trials', *said])})"
+    imported = f", with from weberwhisk.behaviour.effects import {', '.join(names)}"
+    return call + imported * bool(names)

@@ -11,17 +11,21 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import bdtrc
 
 from .._util import checks
 from .._util.output import plain
 from .._util.sampling import ArvizData, to_arviz
 from .._util.threads import one_blas_thread
-from .._util.values import Array, Shown, interval_text
+from .._util.values import Array, Shown, counted, interval_text, methods_text
+from ..inference.coordinates import in_words
+from . import methods
 from .estimates import tails
 from .fit import WeberFit, fit_weber
 from .hierarchy import Population, integrate_population
 from .integrate.batch import of_fraction
 from .likelihood import encoding_of, pairs_shown
+from .misfit import FALSE_ALARMS
 from .priors import SPREAD, Priors, check_distribution, priors_for
 from .report import sentence
 from .trials import Trials, check_trials
@@ -44,6 +48,7 @@ class PopulationStatus(Enum):
     NO_TRIALS = "no animal has trials that can be used"
     NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
     ONE_ANIMAL = "there is one animal: the spread between animals is the prior's"
+    MISFIT = "more animals answer as no observer of this model does than chance explains"
     SPREAD_UNINFORMED = "the animals are too few, or inform too little, to say how they differ"
     DETERMINED = "the data determine the population and how its animals differ"
 
@@ -148,6 +153,23 @@ class PopulationFit(Shown):
                 k += f"; from its own trials alone {alone}"
             lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
         return "\n".join([*lines, *self.notes]) + "\n"
+
+    def methods(self) -> str:
+        """What was done, as a methods section says it: one paragraph without line breaks."""
+        said = [*self.notes, f"The fit's status: {self.status.name}."]
+        if self.population is not None:
+            used = self.subjects[self.subjects["weber_fraction"].notna()]
+            one = next(iter(self.fits.values()))
+            said = [
+                f"A hierarchical model was fitted to {counted(int(used['n'].sum()), 'trial')} of "
+                f"the task {one.trials.task.name}, of {counted(len(used), 'animal')}: ln k is "
+                "normal between animals, each learning from the others (partial pooling).",
+                methods.encoded(one.encoding, one.noise),
+                methods.priors(one, f"spread ~ {in_words(self.spread_prior)}"),
+                methods.how("quadrature"),
+                *said,
+            ]
+        return methods_text(said)
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use the fit, ready for JSON."""
@@ -275,6 +297,10 @@ def fit_population(
         f"{subject} stays out: {FitStatus[status].message}."
         for subject, status in own.loc[left_out, ["subject", "status"]].itertuples(index=False)
     )
+    misfits = own["status"].str.startswith("MISFIT")
+    if misfits.any():
+        told = ", ".join(f"{row.subject} ({row.status})" for row in own[misfits].itertuples())
+        notes += (f"The model does not hold of {told}: see report() of their fits.",)
     shared = believed, prior, notes, seed, fits
     if left_out.all():
         return PopulationFit(PopulationStatus.NO_TRIALS, own, None, *shared)
@@ -288,7 +314,11 @@ def fit_population(
     quantiles = [np.exp(_quantile(found.log_k, m, [0.5, 0.025, 0.975])) for m in found.animals]
     names = ["weber_fraction", "lower", "upper"]
     table = own.join(pd.DataFrame(quantiles, index=kept.index, columns=names))
-    return PopulationFit(_status(found, prior, len(kept)), table, found, *shared)
+    status = _status(found, prior, len(kept))
+    by_chance = bdtrc(misfits.sum() - 1, len(own), FALSE_ALARMS) > FALSE_ALARMS
+    if status is not PopulationStatus.NOT_CONVERGED and not by_chance:
+        status = PopulationStatus.MISFIT
+    return PopulationFit(status, table, found, *shared)
 
 
 def _row(subject: Hashable, fit: WeberFit | None) -> dict[str, Any]:

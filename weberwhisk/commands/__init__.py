@@ -199,6 +199,14 @@ _REMEDIES = (
     (r"\bcurvature=", "--curvature-per-m "),
     (r"together=False", "--apart"),
     (r"log_unit= ", "--log-unit "),
+    (r",? with from weberwhisk\.behaviour\.effects import \w+(, [A-Z]\w+)*", ""),
+    (r"fit_weber\(trials, ((?:[^()]|\(\))*)\)", lambda found: found[1].replace(", ", " ")),
+    (r"effects=\[([^]]*)\]", lambda found: " ".join(
+        f"--effect {re.sub('(?<=[a-z])(?=[A-Z])', '_', name).lower()}"
+        for name in re.findall(r"\w+", found[1])
+    )),
+    (r"\b(bias|noise|states)=", r"--\1 "),
+    (r"trials\.select\(session=(\w+)\)", r"--session \1"),
 )  # fmt: skip
 #: Parameters of the library that notes and reports name, and options of the same name.
 _NAMES = ("bias", "face", "frame_rate", "log_unit", "pixels_per_mm", "scale", "shortest_px")

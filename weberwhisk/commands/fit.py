@@ -59,6 +59,12 @@ def fit(
         "overdispersion; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
+    states: Annotated[
+        int,
+        "States of the animal: 1, engaged throughout; 2, or also answering whatever the stimuli; "
+        "3, or also keeping to one side or the other.",
+        {"metavar": "1|2|3"},
+    ] = 1,
     lapse_prior: Annotated[
         opt.Text,
         "Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
@@ -115,10 +121,10 @@ def fit(
         known = checks.one_of("--prior", prior, ("levels",))
         priors = {"weber_fraction": known} | (priors or {})
     if together:
-        if effect or comparison or method:
+        if effect or comparison or method or states != 1:
             raise ValueError(
-                "--together fits the plain observer, by quadrature; leave --effect, --compare and "
-                "--method out."
+                "--together fits the plain observer, by quadrature; leave --effect, --states, "
+                "--compare and --method out."
             )
         options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
         _fit_together(trials, options, inputs, seed, out, as_json)
@@ -126,8 +132,8 @@ def fit(
     effects = [effect_named(name) for name in effect or ()]
     with Run(out, "fit", inputs, seed) as run:
         result = ww.fit_weber(
-            trials, encoding=encoding, bias=bias, noise=noise, effects=effects, priors=priors,
-            method=method, seed=seed,
+            trials, encoding=encoding, bias=bias, noise=noise, effects=effects, states=states,
+            priors=priors, method=method, seed=seed,
         )  # fmt: skip
         summary = result.summary().reset_index()
         run.table("fit", summary)
@@ -141,9 +147,13 @@ def fit(
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
+            atomic_write(run.path("fit_methods.txt"), result.methods() + "\n")
             if result.status is not ww.behaviour.FitStatus.NO_TRIALS:
                 unit = "mm" if encoding else ""
                 run.figure("psychometric", ww.plots.psychometrics(result, unit=unit))
+            if isinstance(result, ww.behaviour.StateFit):
+                run.table("engagement", result.engagement)
+                run.figure("engagement", ww.plots.engagement(result))
     lines = [report]
     if whisker is not None:
         lines.insert(0, f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
@@ -164,7 +174,8 @@ def compared(
     def fitted(encoding: Encoding, *more: Effect) -> ww.behaviour.WeberFit:
         return ww.fit_weber(
             fit.trials, encoding=encoding, bias=fit.bias, noise=fit.noise,
-            effects=[*fit.model.effects, *more], priors=fit.model.priors,
+            effects=[*fit.model.effects, *more], states=fit.model.n_states,
+            priors=fit.model.priors,
         )  # fmt: skip
 
     if name in EFFECTS:
@@ -240,22 +251,13 @@ def _fit_together(
         run.table("subjects", found.subjects)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
+            atomic_write(run.path("fit_report.txt"), found.report())
+            atomic_write(run.path("fit_methods.txt"), found.methods() + "\n")
             if found.population is not None:
                 unit = "mm" if options["encoding"] else ""
                 run.figure("shrinkage", ww.plots.shrinkage(found))
                 run.figure("population", ww.plots.population(found, unit=unit))
-    if as_json:
-        print(found.to_json())
-        return
-    tables = {"summary": None if found.population is None else found.summary()}
-    tables |= {"subjects": found.subjects}
-    words = [
-        f"\n{table.to_string(index=name == 'summary', float_format='{:.3g}'.format)}"
-        for name, table in tables.items()
-        if table is not None
-    ]
-    status = f"{found.status.value[0].upper()}{found.status.value[1:]}."
-    opt.finish(run, False, None, status, *words, *found.notes)
+    opt.finish(run, as_json, found.to_dict(), found.report())
 
 
 def _selected(

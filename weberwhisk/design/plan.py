@@ -20,7 +20,6 @@ from .._util import checks
 from .._util.output import csv_text, versions_in_words
 from .._util.values import Array, Shown, counted, interval_text, paragraphs
 from ..behaviour.fit import WeberFit
-from ..behaviour.methods import methods_paragraph
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
@@ -149,9 +148,7 @@ class AnalysisResult(Shown):
     def methods(self) -> str:
         """What was done, for a methods section: a paragraph for each hypothesis."""
         firsts = self.estimates.reset_index().groupby("hypothesis", sort=False)["index"].first()
-        return paragraphs(
-            {str(name): [methods_paragraph(self.fits[at])] for name, at in firsts.items()}
-        )
+        return paragraphs({str(name): [self.fits[at].methods()] for name, at in firsts.items()})
 
 
 def analyse(

@@ -25,6 +25,7 @@ from .designs import (
 )
 from .fits import (
     comparison,
+    engagement,
     pairs,
     population,
     psychometric,
@@ -37,7 +38,7 @@ from .whisks import place, whisker_array
 
 __all__ = [
     "COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "analysed", "bending", "calibrated",
-    "comparison", "figure_of", "jnd_lines", "jnd_surface", "located",
+    "comparison", "engagement", "figure_of", "jnd_lines", "jnd_surface", "located",
     "new_figure", "pairs", "place", "placements", "planned_jnds", "planned_power",
     "planned_psychometrics", "population", "posterior_histogram", "posteriors", "power_curve",
     "psychometric", "psychometrics", "rehearsed", "residuals", "shown", "shrinkage", "styled",

@@ -30,12 +30,12 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    from ..behaviour import Comparison, PopulationFit, WeberFit
+    from ..behaviour import Comparison, PopulationFit, StateFit, WeberFit
     from ..behaviour.trials import Cells
 
 __all__ = [
-    "binomial_interval", "comparison", "pairs", "population", "psychometric", "psychometrics",
-    "residuals", "shrinkage",
+    "binomial_interval", "comparison", "engagement", "pairs", "population", "psychometric",
+    "psychometrics", "residuals", "shrinkage",
 ]  # fmt: skip
 
 
@@ -171,7 +171,8 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
         curve = fit.psychometric(np.linspace(edges[0], edges[1], 121), standard)
         at = curve["comparison"] - origin
         # A fit to which every parameter was given has a curve and no band.
-        band, line = ("fit, 95 %", None) if fit.parameters else (None, "given parameters")
+        drawn = "fit" if fit.model.n_states == 1 else "engaged"
+        band, line = (f"{drawn}, 95 %", None) if fit.parameters else (None, "given parameters")
         ends = curve["lower"], curve["upper"]
         ax.fill_between(at, *ends, color=COLOURS[4], alpha=0.35, label=band)
         ax.plot(at, curve["median"], color=COLOURS[0], label=line)
@@ -223,6 +224,40 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel=drawable(column.replace("_", " ")), ylabel="Residual (standard errors)")
     return legend_above(ax)
+
+
+@styled
+def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
+    """Probability that the animal was engaged on each trial, given all of its answers.
+
+    Parameters
+    ----------
+    fit : StateFit
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        Trials in the order of the table; dotted lines are where sessions begin.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> from weberwhisk.behaviour import States
+    >>> fit = fit_weber(simulate_trials(states=States(engaged=0.6), seed=1), states=3)
+    >>> engagement(fit).get_ylabel()
+    'P(engaged)'
+    """
+    ax = axes_or_new(ax, DOUBLE, 1.9)
+    table, n = fit.engagement, len(fit.engagement)
+    ax.plot(np.arange(1, n + 1), table["engaged"], **look(0, lw=0.8))
+    if "session" in table:
+        for begin in np.flatnonzero(table["session"].ne(table["session"].shift()))[1:]:
+            ax.axvline(begin + 0.5, color="0.6", ls=":", lw=0.8, zorder=0)
+    share, low, high = (100 * x for x in fit.share_engaged())
+    ax.set_title(f"Engaged on {share:.0f} % of the trials ({low:.0f} to {high:.0f} %)")
+    ax.set(xlabel="Trial", ylabel="P(engaged)", xlim=(0, n + 1), ylim=(-0.02, 1.02))
+    return ax
 
 
 @styled

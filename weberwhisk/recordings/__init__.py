@@ -5,11 +5,11 @@
 
 from ..cues.force_map import MeasuredAngle
 from .calibration import Calibration, HingedTap, calibrate
-from .locate import locate
+from .locate import locate, methods_paragraph
 from .signals import tracked_signals
 from .trackers import read_tracking
 
 __all__ = [
-    "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking",
-    "tracked_signals",
+    "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "methods_paragraph",
+    "read_tracking", "tracked_signals",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
-from .._util.values import Array, Index
+from .._util.values import Array, Index, methods_text
 from ..cues import Cue, ForceMap
 from ..cues.force_map import is_curved
 from ..inference import Observer, Status, default_noise
@@ -42,7 +42,7 @@ from .columns import (
 from .mixture import Cases, cases_of, rows_of, touches_of, usual_bow
 from .noise import SPREAD, USUAL, Learnt, learn, scaled
 
-__all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_of"]
+__all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_paragraph"]
 
 #: What `locate` adds to a table.
 RESULTS = (
@@ -365,8 +365,8 @@ def _priors(observer: Observer) -> str:
     return f"Priors: {', '.join(said)}."
 
 
-def methods_of(located: pd.DataFrame) -> list[str]:
-    """What was done to the contacts of a table of `locate`, sentence by sentence."""
+def methods_paragraph(located: pd.DataFrame) -> str:
+    """What was done to the contacts of a table of `locate`, as a methods section says it."""
     status = located["status"].value_counts()
     counts = ", ".join(f"{n} {str(name).replace('_', ' ')}" for name, n in status.items())
     said = [f"Radial distances were inferred of the {len(located)} rows of a table ({counts})."]
@@ -376,7 +376,7 @@ def methods_of(located: pd.DataFrame) -> list[str]:
     # A note may end in what to write for another model.
     advice = re.compile(r"(; [^;:]*,|:) write [^;]*$")
     notes = (advice.sub(".", note) for note in located.attrs["notes"])
-    return [*said, *notes, "Posteriors are by quadrature."]
+    return methods_text([*said, *notes, "Posteriors are by quadrature."])
 
 
 def _rows(
