@@ -138,18 +138,6 @@ class AngleSideAngle(Cue):
         angles = np.stack([angle, bearing], axis=-1)
         return np.where((outcome == Outcome.HELD)[..., None], angles, np.nan), outcome
 
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Slopes of the angles, (..., 2, U).
-
-        With δ the angle at the object and q the first distance, the first angle changes by
-        sin δ/q with r, r cos δ/q with the bearing and −sin(angle)/q with the side.
-        """
-        r, bearing, _, first, angle = self._triangle(contact)
-        apex = bearing - angle
-        columns = [np.sin(apex) / first, r * np.cos(apex) / first, -np.sin(angle) / first]
-        top = np.stack(columns[: len(self.unknowns)], axis=-1)
-        return np.stack([top, np.broadcast_to(np.eye(3)[1, : top.shape[-1]], top.shape)], axis=-2)
-
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """The bearing, flat, and the side, normal, where it is not known."""
         low, high = self.bearings

@@ -201,20 +201,6 @@ class BalanceOfMoments(Cue):
             moment = forward.signals(r, theta)[0][..., 0]
         return np.asarray(self._gain * moment / forward.base.moment_scale / self._muscle(theta))
 
-    def _slopes(
-        self, whisker: Any, r: Array, theta: Array, model: str | None = None
-    ) -> tuple[Array, Array]:
-        """d effort/dr and d effort/dθ."""
-        forward = _served(whisker, model)
-        if model == "closed_form":
-            forward = replace(forward, model=model)
-        jacobian = forward.jacobian(r, theta)
-        by_r, by_theta = np.moveaxis(jacobian[..., 0, :] / forward.base.moment_scale, -1, 0)
-        muscle, h = self._muscle(theta), 1e-5
-        rise = (self._muscle(theta + h) - self._muscle(theta - h)) / (2 * h) / muscle
-        effort = self._effort(whisker, r, theta, model)
-        return self._gain * by_r / muscle, self._gain * by_theta / muscle - effort * rise
-
     def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
         """Largest deflection (...) at which a muscle can be in balance, rad: the observer's edge.
 
@@ -281,21 +267,6 @@ class BalanceOfMoments(Cue):
             outcome[lost] = end[lost]
         return np.where(balanced[..., None], signals, np.nan), outcome
 
-    def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
-        """Slopes of the signals (..., S, U): dθ_b/dr = −(∂effort/∂r)/(∂effort/∂θ) of the known."""
-        contact = np.asarray(contact, dtype=float)
-        signals, _ = self.signals(whisker, contact, model=model)
-        r, theta = contact[..., 0], signals[..., 0]
-        held = np.isfinite(theta)
-        safe_r = np.where(held, r, forward_of(whisker).reach / 2)
-        safe = np.where(held, theta, 1e-3)
-        by_r, by_theta = self._slopes(whisker, safe_r, safe, model)
-        if self.effort is not None:
-            return np.where(held, -by_r / by_theta, np.nan)[..., None, None]
-        moment = np.stack([by_r, by_theta], axis=-1)
-        both = np.stack([np.broadcast_to([0.0, 1.0], moment.shape), moment], axis=-2)
-        return np.where(held[..., None, None], both, np.nan)
-
     def default_noise(self) -> GeneralisedWeber:
         """One degree of angle at every angle, and Weber's law, k = 0.1, of the effort."""
         if self.effort is None:
@@ -337,7 +308,9 @@ def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Ar
         low, high = np.zeros(r.shape), np.ones(r.shape)
         for _ in range(30):  # effort is level there: an angle off by 1e-9 is nothing
             middle = (low + high) / 2
-            rises = cue._slopes(model, r, middle * top)[1] > 0
+            sides = np.minimum(middle + 1e-7, 1 - 1e-12), middle - 1e-7
+            after, before = (cue._effort(model, r, side * top) for side in sides)
+            rises = after > before
             low, high = np.where(rises, middle, low), np.where(rises, high, middle)
         high[~known] = high[known][-1]  # beyond its tip: anything smooth
         ends.append(np.concatenate([high[:1], high, high[-1:]]))

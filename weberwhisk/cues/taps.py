@@ -282,21 +282,6 @@ class Vibration(Cue):
             value = np.abs(value)
         return np.where((outcome == Outcome.HELD)[..., None], value, np.nan), outcome
 
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        r = np.asarray(contact, dtype=float)[..., 0]
-        spline = _amplitudes(whisker, self.count)
-        value, slope = spline(r), spline(r, 1)
-        if self.impulse is None:
-            ratio = value[..., 1:] / value[..., :1]
-            out = (slope[..., 1:] - ratio * slope[..., :1]) / value[..., :1]
-            value = ratio
-        else:
-            size = self.impulse / np.sqrt(1 - self.damping_ratio**2)
-            out = (slope * (r**2)[..., None] + value * (2 * r)[..., None]) * size
-        if not self.phase:
-            out = out * np.sign(value)
-        return np.asarray(out)[..., None]
-
     def noise(self, weber_fraction: float, floor: float) -> GeneralisedWeber:
         """Weber's law for every mode's amplitude, carried to the signals.
 

@@ -470,12 +470,3 @@ class UnknownStiffness(_Wrapped):
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(self._under(whisker), contact[..., :-1], model=model)
         return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
-
-    def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
-        contact = np.asarray(contact, dtype=float)
-        inner = contact[..., :-1]
-        factor = np.where(self._soft, contact[..., -1:], 1.0)
-        whisker = self._under(whisker)
-        slope = self.cue.jacobian(whisker, inner, model=model) * factor[..., None]
-        signals, _ = self.cue.signals(whisker, inner, model=model)
-        return np.concatenate([slope, np.where(self._soft, signals, 0.0)[..., None]], axis=-1)
