@@ -58,6 +58,8 @@ def session(placer: Any, n: int, answer: Any) -> Any:
 TAPER = taper(W)
 KNOWN = Hypothesis("known", IdentityEncoding(), Priors(lapse_low=0.01, lapse_high=0.0, bias=0.1),
                    bias="shared")  # fmt: skip
+FLAT = Hypothesis("flat", IdentityEncoding(), Priors(lapse_low=stats.beta(1, 1),
+                  lapse_high=stats.beta(1, 1)), bias="shared")  # fmt: skip
 CORRECT = Hypothesis("correct", IdentityEncoding(), bias="none", task="3AFC percent correct")
 
 
@@ -68,11 +70,12 @@ CORRECT = Hypothesis("correct", IdentityEncoding(), bias="none", task="3AFC perc
         ([PLAIN], [1.0], 300),
         ([Hypothesis("Weber", IdentityEncoding())], [0.5, 2.0], 150),
         ([KNOWN], [1.0], 100),
+        ([FLAT], [1.0], 200),
         ([CORRECT], [1.0], 100),
         ([Hypothesis("log", LogEncoding(), bias="shared")], [0.0], 60),
         (TAPER, [0.3 * W.length, 0.8 * W.length], 120),
     ],
-    ids=["few", "many", "biases", "known", "percent correct", "log", "whisker"],
+    ids=["few", "many", "biases", "known", "flat lapses", "percent correct", "log", "whisker"],
 )
 def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards, n):
     """Quantiles of k to a twentieth of the posterior sd, and the evidence to 5 %."""

@@ -23,7 +23,7 @@ from .._util.values import Array
 from ..behaviour.axes import bias_at, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.priors import TINY, lapse_transform
+from ..behaviour.priors import TINY
 from ..behaviour.trials import Cells
 from .hypotheses import Hypothesis
 
@@ -36,7 +36,7 @@ Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 NODES = (21, 14, 21)
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
 EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
-LEAST_TRIALS = 8  # that the coordinates of the lapses are made for at first
+FEW_TRIALS = 8  # that the coordinates of the lapses are made for; with 100 errors are the same
 
 
 @dataclass(frozen=True)
@@ -150,20 +150,19 @@ class Belief:
 
     def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis, self._candidates = hypothesis, candidates
-        model = _with_trials(hypothesis.model(candidates), LEAST_TRIALS)
+        few = np.full(candidates.n.size, FEW_TRIALS / candidates.n.size)
+        model = hypothesis.model(replace(candidates, n=few))
         self._seen: dict[Pair, list[float]] = {}
         self._encoded: dict[Pair, UnitEncodings] = {
             pair: model.encodings.of(np.array([i])) for i, pair in enumerate(_pairs(candidates))
         }
         self._standards = np.unique(candidates.standard)
-        for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
-            for doublings in range(3, 13 * free):  # their coordinates, made now and kept
-                lapse_transform(model.priors.of(name), doublings)
-        self._lay(model, Axes.whole(model))
+        self._model = model
+        self._lay(Axes.whole(model))
 
-    def _lay(self, model: WeberModel, axes: Axes) -> None:
+    def _lay(self, axes: Axes) -> None:
         """A grid on these axes, with all trials so far in it."""
-        self._grid = BeliefGrid(model, axes)
+        self._grid = BeliefGrid(self._model, axes)
         for pair, seen in self._seen.items():
             self._grid.put(self.encode(pair), self._group(pair), seen)
         self._grid.close()
@@ -248,10 +247,10 @@ class Belief:
         self._grid.multiply(self.encode(pair), self._group(pair), answer)
         self._sum()
         if (better := self._better_axes()) is not None:
-            self._lay(*better)
+            self._lay(better)
 
-    def _better_axes(self) -> tuple[WeberModel, Axes] | None:
-        """Axes that fit what is left, and coordinates; None where those there do."""
+    def _better_axes(self) -> Axes | None:
+        """Axes that fit what is left; None where those there do."""
         axes = self.axes
         sheet = self._joint.sum(axis=0).reshape(axes.low.size, axes.high.size)
         far = np.array([-FAR, FAR])
@@ -265,15 +264,7 @@ class Belief:
         if all(serves for serves, _ in found):
             return None
         k, low, high, *bias = (better for _, better in found)
-        # The coordinate of a lapse goes with how many trials tell of it.
-        before = self._grid.model.transforms[-2:]
-        trials = sum(map(sum, self._seen.values()))
-        model = _with_trials(self._grid.model, max(trials, LEAST_TRIALS))
-        lapses = []
-        for axis, was, new in zip((low, high), before, model.transforms[-2:], strict=True):
-            first, last = new.coordinate(was.score(axis[[0, -1]]))
-            lapses.append(np.linspace(first, last, axis.size))
-        return model, Axes(k, lapses[0], lapses[1], tuple(bias))
+        return Axes(k, low, high, tuple(bias))
 
 
 def _pairs(cells: Cells) -> list[Pair]:
@@ -301,9 +292,3 @@ def _fitted(
     low, high = max(low - reach[0], ends[0]), min(high + reach[1], ends[1])
     serves = filled.size > share * axis.size and not short.any()
     return serves, np.linspace(low, high, axis.size)
-
-
-def _with_trials(model: WeberModel, trials: float) -> WeberModel:
-    """The model with the lapses' coordinates for so many trials."""
-    c = model.cells
-    return replace(model, cells=replace(c, n=np.full(c.n.size, trials / max(c.n.size, 1))))
