@@ -194,7 +194,7 @@ def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path
     plots.residuals(residuals_by(whole, "session"), off)
     off.text(0.04, 0.9, "the rat", transform=off.transAxes)
     for ax, fit in zip((one, two), fits, strict=True):
-        plots.psychometric(fit, ax, unit="log ratio")
+        plots.psychometrics(fit, ax, unit="log ratio")
         ax.text(0.04, 0.9, f"person {fit.trials.subjects[0]}", transform=ax.transAxes)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

@@ -35,7 +35,7 @@ CELLS = {
     "posterior.plot();": "posterior = ww.posterior(tap, tap.read(30e-3, seed=1))",
     "population.plot()\nNone": "population = ww.fit_population("
     "ww.simulate_population(3, trials_per_level=10, seed=1)[0], bias='none')",
-    "ww.plots.psychometric(fit)": "",
+    "ww.plots.psychometrics(fit)": "",
     "fit": "",
 }
 

@@ -12,6 +12,7 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from weberwhisk import WhiskerArray
+from weberwhisk.plots.contacts import from_above
 from weberwhisk.plots.style import (
     COLOURS,
     DOUBLE,
@@ -28,7 +29,6 @@ from weberwhisk.plots.style import (
     new_figure,
     styled,
 )
-from weberwhisk.plots.whisks import from_above
 
 JND = "JND of distance (mm), d'=1"
 PUSH = "push since contact (°)"

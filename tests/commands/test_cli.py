@@ -449,10 +449,8 @@ def test_choices_by_other_cues_and_receptors(
 ) -> None:
     scene, out = [*SOFT, *scene], tmp_path / "out"
     assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
-    said = capsys.readouterr().out.splitlines()[-1]
-    again = said.removeprefix("Fit them with: weberwhisk ").split()
-    assert run_app(cli.app, [*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    capsys.readouterr()
+    found = answer(capsys, "fit", str(out / "trials.csv"), *scene)
     assert found["lower"] < 0.1 < found["upper"]
 
 

@@ -165,24 +165,6 @@ def simulate(
         lines.append(csv_text(table).rstrip("\n"))
     answer = {"truth": known, "rows": table.astype(object).to_dict("records")}
     opt.finish(run, as_json, answer, *lines)
-    if run.out_dir is not None and fittable and not as_json:
-        print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
-
-
-def _again(inputs: dict[str, Any]) -> str:
-    """The options that `fit` needs for the same encoding."""
-    words = []
-    for name in (*opt.Shape._fields, "cue", "deflection_angle_deg"):
-        value = inputs[name]
-        if value:
-            text = ",".join(value) if isinstance(value, list) else f"{value}"
-            words.append(f" {opt.option(name)} {text}")
-    if inputs["subjects"] > 1:
-        words.append(" --subject s1")
-    if inputs["task"] not in ("2AFC", "2AFC percent correct"):
-        words.append(f" --task '{inputs['task']}'")
-    words += [f" --effect {text.rpartition(':')[0]}" for text in inputs["effect"] or ()]
-    return "".join(words)
 
 
 @opt.command

@@ -40,7 +40,7 @@ def quickstart(
     inputs = {"identity": identity, "weber_fraction": weber_fraction, "draws": draws}
     with Run(out, "quickstart", inputs, seed) as run:
         curve = curves(run, whisker, weber_fraction, draws, seed, as_json)
-        surface = jnd_surface(run, whisker, weber_fraction, max(draws // 3, 2), seed, as_json)
+        surface = jnd_surface(run, whisker, weber_fraction)
         rat = rat_choices(run, seed, as_json)
         numbers = {
             "whisker": {"identity": identity, **describe(whisker)},
@@ -102,33 +102,14 @@ def _compared(
     }
 
 
-def jnd_surface(
-    run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
-) -> dict[str, Any]:
-    """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
-    table = ww.sensitivity.linear_surface(moment_dominated(whisker, k))
+def jnd_surface(run: Run, whisker: ww.Whisker, k: float) -> dict[str, Any]:
+    """Figure 4b: the JND of the force map with noise in the moment alone."""
+    along = moment_dominated(whisker, k)
+    table = ww.sensitivity.linear_surface(along)
     run.table("jnd_surface", table)
-    # A twentieth or a hundredth of the noise makes so thin a ridge that at 0.3 L and 10 degrees
-    # most quadratures were flagged; with a tenth up to four in ten at the worst of these contacts.
-    observer = moment_dominated(whisker, k, 0.1)
-    marked = [(0.3, 10.0), (0.5, 10.0), (0.7, 5.0), (0.7, 15.0), (0.9, 3.0)]  # r/L and degrees
-    places, degrees = np.array(marked).T
-    r, theta = places * whisker.length, np.radians(degrees)
-    held = theta < np.asarray(ww.flick_past(whisker, r).deflection_angle)
-    r, theta = r[held], theta[held]
-    own = np.random.SeedSequence(seed).spawn(r.size)
-    parts = []
-    with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
-        for distance, angle, child in zip(r, theta, own, strict=True):
-            curve = ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child)
-            parts.append(curve)
-            advance()
-    points = ww.sensitivity.JNDCurve.joined(parts).table.reset_index()
-    run.table("jnd_surface_posteriors", points)
-    shown = ww.plots.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
+    shown = ww.plots.jnd_surface(table, length=whisker.length, weber_fraction=k)
     run.figure("jnd_surface", shown)
     scale = whisker.length * k
-    along = moment_dominated(whisker, k)
 
     def at(place: float, angle: float) -> float:
         contact = np.array([place * whisker.length, np.radians(angle)])
@@ -140,23 +121,12 @@ def jnd_surface(
         ),
         "at_10_degrees": {f"{p:g}": at(p, 10.0) for p in (0.3, 0.5, 0.7)},
         "at_0.7_length": {f"{a:g}": at(0.7, a) for a in (1.0, 10.0, 20.0)},
-        "posteriors": [
-            {
-                "r_over_length": row["radial_distance_mm"] / (1e3 * whisker.length),
-                "degrees": row["deflection_angle_deg"],
-                "surface": row["propagation_mm"] / (1e3 * scale),
-                "posterior": row["posterior_mm"] / (1e3 * scale),
-                "posterior_95_percent": 1.96 * row["posterior_error_mm"] / (1e3 * scale),
-                "unreliable": row["unreliable"],
-            }
-            for row in points.to_dict("records")
-        ],
     }
 
 
-def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = 1e-9) -> ww.Observer:
-    """The force map with noise in the moment alone, or with `ratio` of it in the axial force."""
-    return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * ratio]))
+def moment_dominated(whisker: ww.Whisker, k: float) -> ww.Observer:
+    """The force map with noise in the moment, and next to none in the axial force."""
+    return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * 1e-9]))
 
 
 def rat_choices(
@@ -232,23 +202,14 @@ def _of_surface(surface: dict[str, Any]) -> str:
     angles = ", ".join(
         f"{v:.2f} at {a}°" for a, v in surface["at_0.7_length"].items() if np.isfinite(v)
     )
-    dots = "; ".join(
-        f"{p['posterior']:.2f} ± {p['posterior_95_percent']:.2f} against {p['surface']:.2f} at "
-        f"{p['r_over_length']:.1f} L and {p['degrees']:.0f}°"
-        for p in surface["posteriors"]
-    )
-    bad = max((p["unreliable"] for p in surface["posteriors"]), default=0.0)
     return (
         "2. JND surface (jnd_surface.png; the paper's figure 4b). Moment and axial force together "
         "give distance and angle; noise is in the moment alone. The JND over kL falls with "
         f"distance (at 10°: {distances}) and with deflection (at 0.7 L: {angles}), as the paper "
         "says. Past the black line the whisker flicks past the object, at "
-        f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L. Full posteriors with a "
-        f"tenth of the noise in the axial force (the dots): {dots}. They need not agree: the "
-        "surface is the slope at one contact, a posterior averages over the contacts that a "
-        "reading allows and ends where the whisker does. The orange line is a false zero: there "
-        "the axial force stops changing with angle, so that the slope alone calls distance known "
-        "exactly, which no posterior does. It lies beyond the contact angle of 90° (dashed), where "
-        f"the paper's figure ends. Up to {bad:.0%} of the posteriors at one place are flagged as "
-        "not reliable, and ± is the scatter over readings only: the dots are a rough check."
+        f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L. This JND is the slope at "
+        "one contact; a posterior averages over the contacts that a reading allows and ends where "
+        "the whisker does. The orange line is a false zero: there the axial force stops changing "
+        "with angle, so that the slope alone calls distance known exactly, which no posterior "
+        "does. It lies beyond the contact angle of 90° (dashed), where the paper's figure ends."
     )

@@ -11,14 +11,14 @@ from .contacts import (
     jnd_lines,
     jnd_surface,
     located,
-    posterior_histogram,
+    place,
     posteriors,
+    whisker_array,
 )
 from .designs import (
     analysed,
     placements,
     planned_jnds,
-    planned_power,
     planned_psychometrics,
     power_curve,
     rehearsed,
@@ -26,21 +26,17 @@ from .designs import (
 from .fits import (
     comparison,
     engagement,
-    pairs,
     population,
-    psychometric,
     psychometrics,
     residuals,
     shrinkage,
 )
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
-from .whisks import place, whisker_array
 
 __all__ = [
     "COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "analysed", "bending", "calibrated",
-    "comparison", "engagement", "figure_of", "jnd_lines", "jnd_surface", "located",
-    "new_figure", "pairs", "place", "placements", "planned_jnds", "planned_power",
-    "planned_psychometrics", "population", "posterior_histogram", "posteriors", "power_curve",
-    "psychometric", "psychometrics", "rehearsed", "residuals", "shown", "shrinkage", "styled",
+    "comparison", "engagement", "figure_of", "jnd_lines", "jnd_surface", "located", "new_figure",
+    "place", "placements", "planned_jnds", "planned_psychometrics", "population", "posteriors",
+    "power_curve", "psychometrics", "rehearsed", "residuals", "shown", "shrinkage", "styled",
     "whisker_array",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Signals of bent whiskers, contacts found from them, and just noticeable differences."""
+"""Bent whiskers, contacts and places found from their signals, and JNDs."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from .._util.values import Array, pd
 from .style import (
     COLOURS,
     DOUBLE,
+    LINES,
     SINGLE,
     SMALL,
     axes_or_new,
@@ -33,13 +34,14 @@ from .style import (
 )
 
 if TYPE_CHECKING:
+    from ..array import Follicle, Place, WhiskerArray
     from ..inference import Posterior
     from ..mechanics import Bending
     from ..sensitivity import JNDCurve
 
 __all__ = [
-    "bending", "calibrated", "fill_surface", "jnd_lines", "jnd_surface", "located",
-    "posterior_histogram", "posteriors",
+    "bending", "calibrated", "fill_surface", "from_above", "jnd_lines", "jnd_surface", "located",
+    "place", "posteriors", "whisker_array",
 ]  # fmt: skip
 
 
@@ -127,7 +129,16 @@ _UNKNOWNS = {
 def posteriors(
     result: Posterior, ax: Axes | None = None, *, of: str = "radial_distance", draws: int = 4000
 ) -> Axes:
-    """One posterior as `posterior_histogram`; of many, each mean with its 95 % interval, in order.
+    """Of one reading a histogram with its mean and 95 % interval; of many these, in order.
+
+    Parameters
+    ----------
+    result : Posterior
+    ax : Axes, optional
+    of : str
+        The unknown.
+    draws : int
+        Draws in the histogram, repeatable.
 
     Examples
     --------
@@ -135,12 +146,28 @@ def posteriors(
     >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
     >>> posteriors(infer(observer, observer.read([[20e-3], [30e-3]], seed=1))).get_xlabel()
     'Reading'
+    >>> posteriors(infer(observer, observer.read(30e-3, seed=1))).get_ylabel()
+    'Probability density'
     """
-    if np.ndim(result.reading) < 2:
-        return posterior_histogram(result, ax, of=of, draws=draws)
+    one_of("of", of, result.observer.unknowns)
     ax = axes_or_new(ax)
     label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
     mean = np.asarray(result.estimates[of].mean) / unit
+    if np.ndim(result.reading) < 2:
+        ax.set(xlabel=label, ylabel="Probability density")
+        if not np.isfinite(mean):
+            why = fill(f"no posterior: {result.status.message}.", 36)
+            ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center", va="center")
+            ax.set(xticks=[], yticks=[])
+            return ax
+        column = result.observer.unknowns.index(of)
+        values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
+        ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
+        low, high = np.asarray(result.interval(0.95, of=of)) / unit
+        ax.axvline(float(mean), color=COLOURS[0], label=f"mean {mean:.3g}")
+        ax.axvline(low, color=COLOURS[1], linestyle="--", label=f"95 %: {low:.3g} to {high:.3g}")
+        ax.axvline(high, color=COLOURS[1], linestyle="--")
+        return legend_above(ax)
     low, high = np.moveaxis(np.asarray(result.interval(0.95, of=of)) / unit, -1, 0)
     ends = mean, np.minimum(low, mean), np.maximum(high, mean)
     reliable = np.asarray(result.status) == 0
@@ -149,63 +176,6 @@ def posteriors(
             bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Reading", ylabel=label)
-    return legend_above(ax)
-
-
-@styled
-def posterior_histogram(
-    result: Posterior, ax: Axes | None = None, *, of: str = "radial_distance", draws: int = 4000
-) -> Axes:
-    """The posterior of one unknown given one reading: a histogram, its mean and 95 % interval.
-
-    Parameters
-    ----------
-    result : Posterior
-        Of a single reading.
-    ax : Axes, optional
-    of : str
-        The unknown.
-    draws : int
-        Draws in the histogram, repeatable.
-
-    Returns
-    -------
-    Axes
-
-    Raises
-    ------
-    ValueError
-        For a result of many readings.
-
-    Examples
-    --------
-    >>> from weberwhisk import Observer, Whisker, cues, posterior as infer
-    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> posterior_histogram(infer(observer, observer.read(30e-3, seed=1))).get_ylabel()
-    'Probability density'
-    """
-    if np.ndim(result.reading) > 1:
-        raise ValueError(
-            f"One posterior is drawn at a time, got {len(result.reading)} readings; "
-            "infer from one of them."
-        )
-    one_of("of", of, result.observer.unknowns)
-    ax = axes_or_new(ax)
-    label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
-    ax.set(xlabel=label, ylabel="Probability density")
-    if not np.isfinite(result.estimates[of].mean).all():
-        why = fill(f"no posterior: {result.status.message}.", 36)
-        ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center", va="center")
-        ax.set(xticks=[], yticks=[])
-        return ax
-    column = result.observer.unknowns.index(of)
-    values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
-    ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
-    mean = float(result.estimates[of].mean / unit)
-    low, high = np.asarray(result.interval(0.95, of=of)) / unit
-    ax.axvline(mean, color=COLOURS[0], label=f"mean {mean:.3g}")
-    ax.axvline(low, color=COLOURS[1], linestyle="--", label=f"95 %: {low:.3g} to {high:.3g}")
-    ax.axvline(high, color=COLOURS[1], linestyle="--")
     return legend_above(ax)
 
 
@@ -298,7 +268,6 @@ def jnd_surface(
     *,
     length: float,
     weber_fraction: float,
-    points: pd.DataFrame | None = None,
 ) -> Axes:
     """The JND over radial distance and deflection angle, up to where the whisker flicks past.
 
@@ -318,8 +287,6 @@ def jnd_surface(
     ax : Axes, optional
     length, weber_fraction : float
         m. The JND is shown as a fraction of their product, the distance as one of the length.
-    points : DataFrame, optional
-        Rows of a `JNDCurve`'s table, whose posterior is written beside their place.
 
     Returns
     -------
@@ -327,16 +294,7 @@ def jnd_surface(
     """
     ax = axes_or_new(ax, SINGLE + 0.6, 3.0)
     fill_surface(ax, table, length, weber_fraction)
-    legend_above(ax)
-    if points is not None:
-        for row in points.reset_index().to_dict("records"):
-            at = row["radial_distance_mm"] / (1e3 * length), row["deflection_angle_deg"]
-            ax.plot(*at, "o", color="white", markeredgecolor="black")
-            words = f"{row['posterior_mm'] / (1e3 * length * weber_fraction):.2f}"
-            box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0}
-            offset: Any = {"xytext": (4, 4), "textcoords": "offset points"}
-            ax.annotate(words, at, **offset, fontsize=SMALL, bbox=box)
-    return ax
+    return legend_above(ax)
 
 
 def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: float) -> None:
@@ -412,4 +370,72 @@ def calibrated(found: Any, ax: Axes | None = None) -> Axes:
     slope = taps["slope"] / taps["fitted"]
     ax.plot(taps["radial_distance_mm"], slope, ".", color=COLOURS[0], markersize=3, label="taps")
     ax.set(xlabel="radial distance (mm)", ylabel="slope, measured over fitted")
+    return legend_above(ax)
+
+
+@styled
+def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:
+    """Whiskers from above, a colour and line style for each row; mm."""
+    ax = axes_or_new(ax, DOUBLE, 2.6)
+    for row, (colour, line) in enumerate(zip(COLOURS, [*LINES, "-"], strict=False)):
+        mine = [w for w in array.whiskers.values() if w.identity[0] == "ABCDE"[row]]
+        for i, whisker in enumerate(mine):
+            label = f"row {whisker.identity[0]}" if i == 0 else None
+            ax.plot(*from_above(whisker), color=colour, linestyle=line, linewidth=0.9, label=label)
+    bases = 1e3 * np.array([w.base[:2] for w in array.whiskers.values()])
+    ax.plot(*bases.T, "k.", markersize=2, label="bases")
+    ax.set(aspect="equal", xlabel="to the right (mm)", ylabel="rostral (mm)")
+    return legend_above(ax, columns=6)
+
+
+def from_above(whisker: Follicle) -> tuple[np.ndarray, np.ndarray]:
+    """x and y, mm, along a whisker at rest in its plane of whisking."""
+    law, straight = getattr(whisker.whisker, "law", None), whisker.whisker
+    arc = np.linspace(0.0, getattr(straight, "whisker", straight).length, 40)
+    # Curvature is positive away from the object, at positive angles of deflection backwards.
+    along, across = (arc, 0 * arc) if law is None else law.point(arc)
+    x, y = 1e3 * whisker.place(np.hypot(along, across), np.arctan2(across, along)).T
+    return x, y
+
+
+@styled
+def place(found: Place, ax: Axes | None = None) -> Axes:
+    """The region that holds an object with probability 95 %, its error ellipse, the whiskers.
+
+    Whiskers that touch are drawn thick, as they lie where nothing bends them.
+    """
+    ax = axes_or_new(ax, SINGLE, 3.0)
+    x, y = 1e3 * found.places.T
+    order = np.argsort(-found.log_density)
+    above = np.cumsum(found.weights[order])
+    levels = [float(found.log_density[order][np.searchsorted(above, m)]) for m in (0.95, 0.5)]
+    kept = found.log_density > levels[0] - 4.0
+    if kept.sum() > 3:
+        shades = [COLOURS[4], COLOURS[0]]
+        ends = [*levels, float(found.log_density.max()) + 1.0]
+        ax.tricontourf(x[kept], y[kept], found.log_density[kept], ends, colors=shades, alpha=0.6)
+        for shade, words in zip(shades, ("95 % of the posterior", "50 %"), strict=True):
+            ax.fill([], [], color=shade, alpha=0.6, label=words)
+    major, minor, angle = found.ellipse()
+    turn = np.linspace(0.0, 2 * np.pi, 90)
+    rim = (major * np.cos(turn) + 1j * minor * np.sin(turn)) * np.exp(1j * angle)
+    along, across = found.mean[0] + rim.real, found.mean[1] + rim.imag
+    ax.plot(1e3 * along, 1e3 * across, "--", color=COLOURS[1], label="95 % error ellipse")
+    for touches, label, colour, width in (
+        (True, "whiskers that touch", "black", 1.2), (False, "others", "0.7", 0.5)
+    ):  # fmt: skip
+        for name, whisker in found.observer.array.whiskers.items():
+            if (name in found.touching) == touches:
+                line = ax.plot(*from_above(whisker), color=colour, linewidth=width)
+                line[0].set_label(label)
+                label = "_"
+    (left, right), (low, high) = ((a.min(), a.max()) for a in (x[kept], y[kept]))
+    room = max(right - left, high - low) * 0.75
+    ax.set(
+        xlim=((left + right) / 2 - room, (left + right) / 2 + room),
+        ylim=((low + high) / 2 - room, (low + high) / 2 + room),
+        aspect="equal",
+        xlabel="to the right (mm)",
+        ylabel="rostral (mm)",
+    )
     return legend_above(ax)

@@ -22,6 +22,7 @@ from .style import (
     figure_of,
     legend_above,
     legend_over,
+    log_numbers,
     look,
     mark,
     open_figure,
@@ -34,42 +35,57 @@ if TYPE_CHECKING:
     from ..design.power_analysis import Power
 
 __all__ = [
-    "analysed", "placements", "planned_jnds", "planned_power",
-    "planned_psychometrics", "power_curve", "rehearsed",
+    "analysed", "placements", "planned_jnds", "planned_psychometrics", "power_curve", "rehearsed",
 ]  # fmt: skip
 
 
 @styled
-def power_curve(power: Power, ax: Axes | None = None) -> Axes:
+def power_curve(found: Power | Plan, ax: Axes | None = None) -> Axes:
     """Share of experiments that reach the goal against their size, with Monte Carlo intervals.
 
-    Against the number of animals where that alone varies, else against trials.
+    Against the number of animals where that alone varies, else against trials. Bars are Wilson's
+    95 % intervals; of a plan a line marks its own size.
+
+    Parameters
+    ----------
+    found : Power or Plan
+    ax : Axes, optional
+
+    Raises
+    ------
+    ValueError
+        For a plan whose power was not looked at.
 
     Examples
     --------
-    >>> from weberwhisk import Whisker, power
-    >>> from weberwhisk.design import Scheme, taper
-    >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3])
-    >>> found = power(scheme, hypotheses, trials=[5, 10], truths=["tapered"], runs=16, seed=1)
-    >>> power_curve(found).get_ylabel()
-    'Power'
+    >>> from weberwhisk import plan_experiment
+    >>> ax = power_curve(plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=16))
+    >>> ax.get_xlabel()
+    'Trials of each comparison'
     """
+    scheme = getattr(found, "scheme", None)
+    table: Any = getattr(found, "table" if scheme is None else "power")
+    if table is None:
+        raise ValueError("The plan's power was not looked at; plan it with runs=512.")
     ax = axes_or_new(ax)
-    table = power.table
     by = "animals" if table["trials"].nunique() == 1 < table["animals"].nunique() else "trials"
     others = [name for name in ("truth", "trials", "animals")
               if name != by and (name == "truth" or table[name].nunique() > 1)]  # fmt: skip
     for i, (key, own) in enumerate(table.groupby(others, sort=False)):
+        rows = own.sort_values(by)
+        ends = (rows[name] for name in ("power", "lower", "upper"))
         more = (f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True))
-        _shares(ax, own.sort_values(by), own[by].sort_values(), i, [drawable(key[0]), *more])
-    ax.axhline(power.goal.share, color="0.6", linewidth=0.8, linestyle=":", label="goal")
+        words = ", ".join([f"{drawable(key[0])} is true", *more])
+        bars(ax, rows[by], ends, i, linestyle=LINES[i % len(LINES)], label=words)
+    style: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
+    ax.axhline(found.goal.share, **style, label="goal")
+    if scheme is not None:
+        planned = scheme.animals if by == "animals" else max(map(max, scheme.trials))
+        ax.axvline(planned, **style, linestyle=":", label="planned")
     ax.set_xscale("log")
-    sizes = np.unique(table[by])
-    ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
-    ax.minorticks_off()
-    ax.set(xlabel="Animals" if by == "animals" else "Trials of each comparison", ylim=(0, 1))
-    ax.set_ylabel("Power")
+    log_numbers(ax.xaxis)
+    ax.set(xlabel="Animals" if by == "animals" else "Trials of each comparison", ylim=(0, 1.02))
+    ax.set_ylabel("Share that reaches the goal")
     return legend_above(ax)
 
 
@@ -147,49 +163,6 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     ax.set_ylim(bottom=0)
     ax.set(xlabel="Radial distance (mm)", ylabel=f"JND (mm), {points['criterion'].iloc[0]}")
     return legend_above(ax)
-
-
-@styled
-def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
-    """How often the goal is reached, against the size of the experiment, by which truth.
-
-    Bars are Wilson's 95 % intervals of the simulations; lines mark the goal and the plan.
-
-    Raises
-    ------
-    ValueError
-        For a plan whose power was not looked at.
-
-    Examples
-    --------
-    >>> from weberwhisk import plan_experiment
-    >>> ax = planned_power(plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=16))
-    >>> ax.get_xlabel()
-    'Trials of an animal'
-    """
-    if plan.power is None:
-        raise ValueError("The plan's power was not looked at; plan it with runs=512.")
-    ax = axes_or_new(ax)
-    by_animals = plan.power["animals"].nunique() > 1
-    most = max(map(max, plan.scheme.trials))
-    unit = 1.0 if by_animals else plan.scheme.n_trials / most
-    planned = plan.scheme.animals if by_animals else plan.scheme.n_trials
-    for i, hypothesis in enumerate(plan.hypotheses):
-        own = plan.power.query("truth == @hypothesis.name").sort_values(["animals", "trials"])
-        at = own["animals" if by_animals else "trials"] * unit
-        _shares(ax, own, at, i, [f"{drawable(hypothesis.name)} is true"])
-    ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0, label="goal")
-    ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0, linestyle=":", label="planned")
-    ax.set(ylabel="Share that reaches the goal", ylim=(0, 1.02))
-    ax.set_xlabel("Animals" if by_animals else "Trials of an animal")
-    ax.set_xlim(left=0)
-    return legend_above(ax)
-
-
-def _shares(ax: Axes, rows: pd.DataFrame, at: Any, i: int, words: Sequence[str]) -> None:
-    """Shares of experiments that reach the goal, over their sizes, with Monte Carlo intervals."""
-    ends = (rows[name] for name in ("power", "lower", "upper"))
-    bars(ax, at, ends, i, linestyle=LINES[i % len(LINES)], label=", ".join(words))
 
 
 @styled

@@ -19,7 +19,6 @@ from .style import (
     axes_or_new,
     bars,
     drawable,
-    figure_of,
     legend_above,
     legend_over,
     log_numbers,
@@ -34,53 +33,9 @@ if TYPE_CHECKING:
     from ..behaviour.trials import Cells
 
 __all__ = [
-    "binomial_interval", "comparison", "engagement", "pairs", "population", "psychometric",
-    "psychometrics", "residuals", "shrinkage",
+    "binomial_interval", "comparison", "engagement", "population", "psychometrics", "residuals",
+    "shrinkage",
 ]  # fmt: skip
-
-
-@styled
-def psychometric(
-    fit: WeberFit, ax: Axes | None = None, *, standard: float | None = None, unit: str = ""
-) -> Axes:
-    """Choices at one standard, with 95 % binomial intervals, and the curve fitted to them.
-
-    Parameters
-    ----------
-    fit : WeberFit
-    ax : Axes, optional
-    standard : float, optional
-        May be left out where the table has one.
-    unit : str
-        Of the stimulus, for the axis.
-
-    Returns
-    -------
-    Axes
-
-    Notes
-    -----
-    The curve is that of a first stimulus at the standard. Choices with another first stimulus stand
-    where their difference (on a log scale) or their ratio puts them.
-
-    Examples
-    --------
-    >>> from weberwhisk import fit_weber, simulate_trials
-    >>> ax = psychometric(fit_weber(simulate_trials(weber_fraction=0.1, seed=7)))
-    >>> ax.get_ylabel()
-    'Second reported greater'
-    """
-    ax = axes_or_new(ax)
-    known = fit.standards
-    if standard is None and known.size > 1:
-        raise ValueError(
-            f"There are {known.size} standards; name one, such as standard={known[0]:g}, or draw "
-            "psychometrics(fit)."
-        )
-    s = float(known[0]) if standard is None else standard
-    _choices(fit, ax, s)
-    ax.set(xlabel=_stimulus_label(fit, unit), ylabel=_answer_label(fit))
-    return legend_above(ax)
 
 
 @styled
@@ -91,7 +46,39 @@ def psychometrics(
     standard: float | None = None,
     unit: str = "",
 ) -> NDArray[np.object_]:
-    """`psychometric` at every standard, or at one, in small multiples; returns their axes."""
+    """Choices at every standard, or at one, with 95 % binomial intervals and the fitted curve.
+
+    Parameters
+    ----------
+    fit : WeberFit
+    axes : Axes or sequence of Axes, optional
+        One a standard.
+    standard : float, optional
+        The one to draw.
+    unit : str
+        Of the stimulus, for the axis.
+
+    Returns
+    -------
+    array of Axes
+
+    Raises
+    ------
+    ValueError
+        For fewer axes than standards, and a standard without choices.
+
+    Notes
+    -----
+    The curve is that of a first stimulus at the standard. Choices with another first stimulus stand
+    where their difference (on a log scale) or their ratio puts them.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> axes = psychometrics(fit_weber(simulate_trials(weber_fraction=0.1, seed=7)))
+    >>> axes[0].get_title(), len(axes)
+    ('', 1)
+    """
     known = fit.standards if standard is None else np.array([float(standard)])
     if axes is not None:
         given = list(np.ravel(np.array(axes, dtype=object)))
@@ -101,7 +88,9 @@ def psychometrics(
                 f"standard={known[0]:g}, or give more."
             )
         for ax, s in zip(given, known, strict=False):
-            psychometric(fit, ax, standard=float(s), unit=unit)
+            _choices(fit, ax, float(s))
+            ax.set(xlabel=_stimulus_label(fit, unit), ylabel=_answer_label(fit))
+            legend_above(ax)
         return np.array(given[: len(known)], dtype=object)
     columns = max(min(len(known), 4), 1)
     rows = max(-(-len(known) // columns), 1)
@@ -258,57 +247,6 @@ def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
     ax.set_title(f"Engaged on {share:.0f} % of the trials ({low:.0f} to {high:.0f} %)")
     ax.set(xlabel="Trial", ylabel="P(engaged)", xlim=(0, n + 1), ylim=(-0.02, 1.02))
     return ax
-
-
-@styled
-def pairs(
-    fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800
-) -> NDArray[np.object_]:
-    """The joint posterior of a fit's parameters, two at a time, and each one's alone.
-
-    Returns
-    -------
-    array of Axes, shape (P, P)
-        Those above the diagonal are empty.
-
-    Examples
-    --------
-    >>> from weberwhisk import fit_weber, simulate_trials
-    >>> pairs(fit_weber(simulate_trials(seed=1))).shape
-    (4, 4)
-    """
-    names = fit.parameters
-    size = len(names)
-    if axes is None:
-        figure = open_figure(max(SINGLE, 1.5 * size), max(2.6, 1.4 * size))
-        axes = list(figure.subplots(size, size, squeeze=False).ravel())
-    grid = np.array(axes, dtype=object).reshape(size, size)
-    sample = fit.posterior.draws().named(fit.posterior.model)
-    for i, down in enumerate(names):
-        for j, along in enumerate(names):
-            ax = grid[i, j]
-            if j > i:
-                ax.set_visible(False)
-            elif i == j:
-                ax.hist(sample[down], bins=40, color=COLOURS[4], edgecolor="none")
-                ax.set_yticks([])
-            else:
-                step = max(len(sample[down]) // draws, 1)
-                x, y = sample[along][::step], sample[down][::step]
-                ax.plot(x, y, ".", color=COLOURS[0], alpha=0.35, markersize=2, rasterized=True)
-            ax.xaxis.set_major_locator(MaxNLocator(3))
-            if i != j:
-                ax.yaxis.set_major_locator(MaxNLocator(3))
-            if i < size - 1:
-                ax.set_xticklabels([])
-            else:
-                ax.set_xlabel(along.replace("_", " ").capitalize())
-            if j:
-                ax.set_yticklabels([])
-            elif i:
-                ax.set_ylabel(down.replace("_", " ").capitalize())
-    figure_of(grid).align_labels()
-    return grid
 
 
 @styled

@@ -16,7 +16,7 @@ from .._util import checks
 from .._util.output import Run, atomic_write, csv_text
 from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
 from ..design.session import bpod_table, psychopy_tables
-from .designs import planned_jnds, planned_power, planned_psychometrics
+from .designs import planned_jnds, planned_psychometrics, power_curve
 from .style import DOUBLE, figure_of, new_figure, styled
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def plan_page(plan: Plan) -> str:
     wide = 100 if len(plan.scheme.standards) > 1 else 50
     halves = [_image(_half(planned_jnds, plan), "Expected JND curves")]
     if plan.power is not None:
-        halves.append(_image(_half(planned_power, plan), "Power"))
+        halves.append(_image(_half(power_curve, plan), "Power"))
     psychometrics = figure_of(planned_psychometrics(plan))
     heads = (" ".join(p.split()).partition(". ") for p in paragraphs)
     page = resources.files("weberwhisk").joinpath("data/plan.html").read_text("utf-8")
@@ -163,4 +163,4 @@ def fill(run: Run, plan: Plan) -> None:
     run.figure("planned_jnd", planned_jnds(plan))
     if plan.power is not None:
         run.table("planned_power", plan.power)
-        run.figure("planned_power", planned_power(plan))
+        run.figure("planned_power", power_curve(plan))
