@@ -437,17 +437,9 @@ def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.once
-@pytest.mark.parametrize(
-    "scene",
-    [
-        ["--cue", "moment", "--deflection-angle-deg", "5"],
-        ["--cue", "fused"],
-    ],
-)
-def test_choices_by_other_cues_and_receptors(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: list[str]
-) -> None:
-    scene, out = [*SOFT, *scene], tmp_path / "out"
+def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = [*SOFT, "--cue", "moment", "--deflection-angle-deg", "5"]
+    out = tmp_path / "out"
     assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
     capsys.readouterr()
     found = answer(capsys, "fit", str(out / "trials.csv"), *scene)
@@ -530,7 +522,7 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
 
 
 @pytest.mark.once
-def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
+def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -538,21 +530,17 @@ def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
     answer(capsys, "simulate", *design, "--trials-per-level", "30", "--out", str(out))
     file = str(out / "trials.csv")
     plain = answer(capsys, "fit", file)
-    options = ["--lapse-prior", "1,20", "--compare", "noise"]
-    found = answer(capsys, "fit", file, *options, "--out", str(out))
+    found = answer(capsys, "fit", file, "--lapse-prior", "1,20", "--law", "--out", str(out))
     assert found["parameters"]["lapse_low"]["prior"] == "beta(1, 20)"  # type: ignore[index]
     assert found["weber_fraction"] != plain["weber_fraction"]
-    table = pd.read_csv(out / "comparison.csv", index_col="model")
-    assert table.index[-1] == "constant noise"
-    assert found["comparison"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
+    assert len(pd.read_csv(out / "law.csv")) == 2
+    assert found["law"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
     levels = answer(capsys, "fit", file, "--prior", "levels", "--lapse-prior", "1,20")
     believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
     assert believed.endswith("about the levels shown")
     assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
     moved = answer(capsys, "fit", file, "--effect", "floor", "--lapse-prior", "1,20")
     assert moved["settings"]["effects"] == ["floor"]  # type: ignore[index]
-    law = answer(capsys, "fit", file, "--compare", "law")
-    assert len(law["comparison"]["rows"]) == 2  # type: ignore[index]
 
 
 def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -613,8 +601,6 @@ HEADER = "stimulus_1,stimulus_2,choice"
         ([HEADER, "20,25,1"], ["--identity", "C2", "--scale", "log"], "leave --scale out"),
         ([HEADER, "1,2,1"], ["--effect", "drft"], "did you mean 'drift'?"),
         ([HEADER, "1,2,1"], ["--lapse-prior", "0,3"], "takes two numbers above zero"),
-        ([HEADER, "1,2,1"], ["--compare", "nois"], "did you mean 'noise'?"),
-        ([HEADER, "1,2,1"], ["--compare", "taper"], "needs a whisker"),
         ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --states"),
         ([HEADER, "1,2,1"], ["--together"], "there is no column 'subject'"),
     ],
@@ -653,8 +639,7 @@ C2 = ["--identity", "C2"]
             "no use for --weber-fraction",
         ),
         (["jnd", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
-        (["simulate", *C2, "--cue", "vibrissa-length"], "reports events, all or none"),
-        (["next", *C2, "--cue", "two-whiskers"], "there is no Weber fraction to find"),
+        (["simulate", *C2, "--cue", "vibrissa-length"], "cue 'vibrissa-length' is unknown"),
         (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
         (["simulate", "--effect", "history"], "the value of an effect must be a number"),
         (["simulate", "--weber-fraction", "-1"], "--weber-fraction must be above zero"),

@@ -247,7 +247,7 @@ WORDED = {
     "bend": ["--identity", "--model"],
     "jnd": ["--identity", "--cue", "--method", "--criterion"],
     "simulate": ["--identity", "--cue", "--task"],
-    "fit": ["--cue", "--task", "--scale", "--bias", "--noise", "--effect", "--compare", "--column",
+    "fit": ["--cue", "--task", "--scale", "--bias", "--noise", "--effect", "--column",
             "--label", "--subject", "--method"],
 }  # fmt: skip
 USUAL = {

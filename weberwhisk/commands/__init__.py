@@ -144,8 +144,7 @@ _SHARED: dict[str, Any] = {
         "moment (at a known angle), vibration, space-map, balance-of-moments, "
         "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
         "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
-        "cannot be fitted by the last two, of events, nor by those of angles alone.  "
-        "[default: compliance]",
+        "are by the first four.  [default: compliance]",
         _of("Cue and receptors"),
     ],
     "deflection_angle_deg": Annotated[
@@ -175,7 +174,7 @@ _SHARED: dict[str, Any] = {
     ],
 }
 #: What the library says, and what that is called in options.
-_CALLED = {"as_json": "json", "comparison": "compare", "columns": "column", "units": "unit"}
+_CALLED = {"as_json": "json", "columns": "column", "units": "unit"}
 #: Remedies of the library, and how they are written here.
 _REMEDIES = (
     (r"columns=\{'(\w+)': '([^']+)'\}", r"--column \1='\2'"),

@@ -20,36 +20,19 @@ __all__ = ["distance_encoding", "next_trials", "simulate"]
 
 
 def distance_encoding(
-    shape: opt.Shape,
-    cue: str | None,
-    angles_deg: opt.Texts,
-    *,
-    fitted: bool = True,
+    shape: opt.Shape, cue: str | None, angles_deg: opt.Texts
 ) -> tuple[CueEncoding | None, ww.Whisker | None]:
-    """The encoding and the whisker that the options describe; None where they name no whisker.
-
-    With `fitted` the answers must tell of a Weber fraction.
-    """
+    """The encoding and the whisker that the options describe; None where they name no whisker."""
     if not shape.given:
         for name, given in (("--cue", cue), ("--deflection-angle-deg", angles_deg)):
             if given:
                 raise ValueError(f"{name} needs a whisker, got none; write --identity C2, say.")
         return None, None
     whisker = opt.the_whisker(shape)
-    observer, angles = opt.the_scene(cue, angles_deg, None, whisker)
-    if observer.noise.is_categorical:
-        raise ValueError(
-            f"The cue {cue} reports events, all or none, which leave no two noisy signals to "
-            "compare; write --cue compliance, say."
-        )
-    angle = opt.one_angle(angles)
-    encoding = ww.behaviour.CueEncoding(observer, angle, unit=1e-3)
-    if fitted and not encoding.has_weber_fraction:
-        raise ValueError(
-            f"The noise of the cue {cue} is that of angles, a constant: there is no Weber fraction "
-            "to find; write --cue compliance, say."
-        )
-    return encoding, whisker
+    made, angles = opt.the_cue(cue, angles_deg)
+    noise = ww.inference.default_noise(whisker, made, 0.1)
+    observer, angle = ww.Observer(whisker, made, noise), opt.one_angle(angles)
+    return ww.behaviour.CueEncoding(observer, angle, unit=1e-3), whisker
 
 
 @opt.command
@@ -94,8 +77,7 @@ def simulate(
     from ..behaviour.simulate import SIGNED_OFFSETS
     from ..behaviour.trials import STIMULI
 
-    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, fitted=False)
-    fittable = encoding is None or encoding.has_weber_fraction
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
     if encoding is None and standard_mm:
         raise ValueError(
             "--standard-mm needs a whisker, got none; write --identity C2, or "
@@ -128,7 +110,7 @@ def simulate(
         if encoding is not None:
             table = table.rename(columns={name: f"{name}_mm" for name in STIMULI})
         run.table("trials", table)
-        known = truth | ({} if fittable else {"weber_fraction": None})
+        known = dict(truth)
         if animals is not None:
             known |= {"spread": spread, "animals": animals.to_dict("records")}
         if effects:
@@ -143,7 +125,7 @@ def simulate(
         }
         if run.out_dir is not None:
             atomic_write(run.path("truth.json"), to_json(known) + "\n")
-            if animals is None and fittable:
+            if animals is None:
                 unit = "mm" if encoding else ""
                 free = {name: truth[name] for name in trials.task.lapses}
                 free |= {"bias": bias} if trials.task.has_bias else {}
@@ -154,11 +136,11 @@ def simulate(
                 )  # fmt: skip
                 run.figure("trials", ww.plots.psychometrics(exact, unit=unit))
     lines = [] if whisker is None else [opt.whisker_line(whisker)]
-    noise = f"Weber fraction {weber_fraction:g}" if fittable else "constant noise of the cue's own"
     many = "" if animals is None else f" of {subjects} animals"
     lines.append(
         f"{len(table)} trials{many} of {trials.task.name}, {trials.n_missing} without an answer; "
-        f"{base.size} standard{'s' if base.size > 1 else ''}, {noise}, "
+        f"{base.size} standard{'s' if base.size > 1 else ''}, "
+        f"Weber fraction {weber_fraction:g}, "
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )
     if run.out_dir is None:

@@ -12,15 +12,13 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, to_json
-from .._util.values import pd
 from . import numbers
 from .choices import distance_encoding
 
 if TYPE_CHECKING:
-    from ..behaviour import CueEncoding, Encoding
-    from ..behaviour.effects import Effect
+    from ..behaviour import CueEncoding
 
-__all__ = ["compared", "fit"]
+__all__ = ["fit"]
 
 
 @opt.command
@@ -76,11 +74,7 @@ def fit(
         "for the animal; not to compare designs, nor for data collected in stages.  [default: a "
         "median of 0.1, whatever the levels]",
     ] = None,
-    comparison: Annotated[
-        opt.Text,
-        "Other observers beside the one fitted: law (one Weber fraction or one a standard), noise "
-        "(Weber's or constant), taper or cues (of the whisker), or an effect.",
-    ] = None,
+    law: Annotated[bool, "Compare one Weber fraction with one a standard: Weber's law."] = False,
     together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
     method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
     shape: opt.Shape = opt.NO_SHAPE,
@@ -121,10 +115,10 @@ def fit(
         known = checks.one_of("--prior", prior, ("levels",))
         priors = {"weber_fraction": known} | (priors or {})
     if together:
-        if effect or comparison or method or states != 1:
+        if effect or law or method or states != 1:
             raise ValueError(
                 "--together fits the plain observer, by quadrature; leave --effect, --states, "
-                "--compare and --method out."
+                "--law and --method out."
             )
         options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
         _fit_together(trials, options, inputs, seed, out, as_json)
@@ -139,11 +133,11 @@ def fit(
         run.table("fit", summary)
         answer = result.to_dict()
         report = opt.with_options(result.report())
-        if comparison is not None:
-            table, verdict = compared(comparison, result, whisker)
-            run.table("comparison", table)
-            answer["comparison"] = {"rows": table.to_dict(orient="records"), "verdict": verdict}
-            report += f"\nComparison.\n{verdict}\n"
+        if law:
+            test = ww.behaviour.weber_law_test(result)
+            run.table("law", test.by_standard)
+            answer["law"] = {"rows": test.by_standard.to_dict("records"), "verdict": test.report()}
+            report += f"\nWeber's law.\n{test.report()}\n"
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
@@ -158,46 +152,6 @@ def fit(
     if whisker is not None:
         lines.insert(0, f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
     opt.finish(run, as_json, answer, *lines)
-
-
-def compared(
-    name: str, fit: ww.behaviour.WeberFit, whisker: ww.Whisker | None
-) -> tuple[pd.DataFrame, str]:
-    """A table and a verdict on the trials of a fit, with its bias, noise, effects and priors."""
-    from ..behaviour.effects import EFFECTS
-
-    checks.one_of("--compare", name, ("law", "noise", "taper", "cues", *EFFECTS))
-    if name == "law":
-        test = ww.behaviour.weber_law_test(fit)
-        return test.by_standard, test.report()
-
-    def fitted(encoding: Encoding, *more: Effect) -> ww.behaviour.WeberFit:
-        return ww.fit_weber(
-            fit.trials, encoding=encoding, bias=fit.bias, noise=fit.noise,
-            effects=[*fit.model.effects, *more], states=fit.model.n_states,
-            priors=fit.model.priors,
-        )  # fmt: skip
-
-    if name in EFFECTS:
-        found = ww.compare({f"without {name}": fit, name: fitted(fit.encoding, EFFECTS[name])})
-        return found.table.reset_index(), found.report()
-    if name == "noise":
-        given = ww.design.noises(fit.encoding, fit.standards)
-    elif whisker is None or not isinstance(fit.encoding, ww.behaviour.CueEncoding):
-        raise ValueError(
-            f"--compare {name} needs a whisker, got none; write --identity C2, or a shape."
-        )
-    elif name == "taper":
-        given = ww.design.taper(whisker, unit=fit.encoding.unit)
-    elif (angle := fit.encoding.deflection_angle) is None:
-        raise ValueError(
-            "--compare cues needs the deflection angle of the contacts; write --cue force-map "
-            "--deflection-angle-deg 10, say."
-        )
-    else:
-        given = ww.design.cues(whisker, angle, unit=fit.encoding.unit)
-    found = ww.compare({h.name: fitted(h.encoding) for h in given})
-    return found.table.reset_index(), found.report()
 
 
 def _trials(
