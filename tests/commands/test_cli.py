@@ -492,7 +492,7 @@ def test_simulate_prints_its_table_or_where_it_is(
     assert lines[1] == "session,trial,standard,stimulus_1,stimulus_2,choice"
     assert len(lines) == 4
     assert run_app(cli.app, [*short, "--out", str(tmp_path)]) == 0
-    assert f"weberwhisk fit {tmp_path / 'trials.csv'} --task '2IFC'" in capsys.readouterr().out
+    assert f"Written to {tmp_path}: trials.csv" in capsys.readouterr().out
 
 
 def write(path: Path, *lines: str) -> str:

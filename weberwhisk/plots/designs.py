@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .._util.values import pd
 from .style import (
     COLOURS,
     DOUBLE,

@@ -29,19 +29,19 @@ LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 #: Widths of a printed column and of two, inches.
 SINGLE, DOUBLE = 3.5, 7.2
-SMALL = 7.0  # size of small print, points: none is smaller
 _STYLE: Any = {
     "font.size": 8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
-    "legend.fontsize": 7,
+    "legend.fontsize": 7.0,
     "axes.titlesize": 8,
     "figure.labelsize": 8,
     "patch.linewidth": 0,
     "lines.linewidth": 1.3,
     "lines.markersize": 4,
 }
+SMALL: float = _STYLE["legend.fontsize"]  # size of small print, points: none is smaller
 _SAVING: Any = {"svg.hashsalt": "weberwhisk"}
 
 
