@@ -206,6 +206,10 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
     studied = pd.DataFrame(
         {"truth": ["tapered", "cylindrical"] * 3, "log_bayes_factor": np.linspace(-1, 6, 6)}
     )
+    engaged = SimpleNamespace(
+        engagement=pd.DataFrame({"session": [1] * 20 + [2] * 20, "engaged": np.linspace(0, 1, 40)}),
+        share_engaged=lambda: (0.5, 0.4, 0.6),
+    )
     whiskers = ww.WhiskerArray("rat", "right").protract(np.radians(40))
     all_of_them = ww.ArrayObserver(whiskers)
     touching = all_of_them.read([20e-3, 5e-3], seed=1)
@@ -220,6 +224,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
         "bending": plots.bending(lines),
         "calibrated": plots.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": plots.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
+        "engagement": plots.engagement(engaged),  # type: ignore[arg-type]
         "jnd_lines": plots.jnd_lines(
             ww.jnd_curve(force_map, contacts[::3, :1], [0.1, 0.2], n_readings=4, seed=1)
         ),
