@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,19 +99,17 @@ class VibrissaLength(Cue):
                 "write 1.5, say."
             )
 
-    def _missing(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
-        """The chance of being shorter than r, and its slope.
+    def _missing(self, whisker: Whisker, r: Array) -> Array:
+        """The chance of being shorter than r.
 
         Whole: ln length is normal. Broken: 1 − E[(1 − r/length)₊], as the break is anywhere.
         """
         sigma = np.sqrt(np.log1p(self.spread**2))
         log_median = np.log(whisker.length) - 0.5 * sigma**2
         z = (np.log(r) - log_median) / sigma
-        density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * sigma * r)
         # E[1/length; length > r]
         inverse = np.exp(0.5 * sigma**2 - log_median) * ndtr(-z - sigma)
-        chance = ndtr(z) + self.damage * r * inverse
-        return chance, (1 - self.damage) * density + self.damage * inverse
+        return np.asarray(ndtr(z) + self.damage * r * inverse)
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Chances (..., 2) of no touch and of a touch with the tip, at a contact (..., 1)."""
@@ -120,17 +117,10 @@ class VibrissaLength(Cue):
         r = np.asarray(contact, dtype=float)[..., 0]
         known = (r > 0) & (r <= self.farthest(whisker))
         r = np.where(known, r, whisker.length)
-        none, not_shaft = (self._missing(whisker, at)[0] for at in (r, r / (1 - self.tip_zone)))
+        none, not_shaft = (self._missing(whisker, at) for at in (r, r / (1 - self.tip_zone)))
         chances = np.stack([none, not_shaft - none], axis=-1)
         outcome = np.where(known, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
         return np.where(known[..., None], chances, np.nan), outcome
-
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        r = np.asarray(contact, dtype=float)[..., 0]
-        stretch = 1 / (1 - self.tip_zone)
-        none = self._missing(whisker, r)[1]
-        not_shaft = self._missing(whisker, r * stretch)[1] * stretch
-        return np.stack([none, not_shaft - none], axis=-1)[..., None]
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""
@@ -330,41 +320,29 @@ class ComparativeLength(Cue):
         turns = np.round((angle - self.sweeps.mean(axis=1)) / (2 * np.pi))
         return np.asarray(angle - 2 * np.pi * turns)
 
-    def _touches(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
-        """Chance of each whisker's touch in each pose, and its slope in r, (n, P, whiskers)."""
+    def _touches(self, whisker: Whisker, r: Array) -> Array:
+        """Chance of each whisker's touch in each pose, (n, P, whiskers)."""
         turn, shift, _ = self._poses
-        ahead = np.stack([np.cos(turn), -np.sin(turn)], axis=-1)  # d pole/dr
+        ahead = np.stack([np.cos(turn), -np.sin(turn)], axis=-1)
         pole = r[:, None, None] * ahead + shift
         bases = np.concatenate([np.zeros((1, 2)), self.bases])
         x, y = np.moveaxis(pole[:, :, None] - bases, -1, 0)
         distance = np.maximum(np.hypot(x, y), 1e-12)
-        dx, dy = ahead[:, None, 0], ahead[:, None, 1]
-        nearer = (x * dx + y * dy) / distance
-        turning = (x * dy - y * dx) / distance**2
         lengths = self._lengths(whisker)
         # To first order about d = length, the base's error adds to that of the length …
         sigma = np.sqrt(np.log1p(self.spread**2 + (self.base_sd / lengths) ** 2))
         z = np.log(distance / lengths) / sigma + 0.5 * sigma
-        reached, fall = ndtr(-z), -_normal(z) / (sigma * distance)
         # … and in the angle, the more the closer by, to that of the sector's ends.
         sd = np.hypot(self.angle_sd, self.base_sd / distance)
-        shrink = (self.base_sd / distance / sd) ** 2 / distance * nearer  # −d ln sd/dr
         low, high = ((self._angle(y, x) - end) / sd for end in self.sweeps.T)
-        swept = ndtr(low) - ndtr(high)
-        low_rise, high_rise = (_normal(q) * (turning / sd + q * shrink) for q in (low, high))
-        return reached * swept, fall * nearer * swept + reached * (low_rise - high_rise)
+        return np.asarray(ndtr(-z) * (ndtr(low) - ndtr(high)))
 
-    def _patterns(self, whisker: Whisker, r: Array, step: complex = 0.0) -> Any:
-        """Chances (..., 2ⁿ) of all patterns, at r and `step` on along the slopes.
-
-        Those of either half of the array first, and their products summed over the poses.
-        """
+    def _patterns(self, whisker: Whisker, r: Array) -> Array:
+        """Chances (..., 2ⁿ) of all patterns: of either half of the array, times each other's."""
         half, parts = self.reports.shape[1] // 2, []
         rows = 256  # distances worked on together
         for start in range(0, max(r.size, 1), rows):  # of none there is one empty piece
-            touch, slope = self._touches(whisker, r.reshape(-1)[start : start + rows])
-            if step:
-                touch = touch + step * slope
+            touch = self._touches(whisker, r.reshape(-1)[start : start + rows])
             first, second = _together(touch[..., :half]), _together(touch[..., half:])
             both = np.swapaxes(first * self._poses[2][:, None], 1, 2) @ second
             parts.append(both.reshape(len(touch), len(self.reports)))
@@ -378,11 +356,6 @@ class ComparativeLength(Cue):
         chances = self._patterns(whisker, np.where(known, r, whisker.length))
         outcome = np.where(known, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
         return np.where(known[..., None], chances[..., :-1], np.nan), outcome
-
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        tiny = 1e-30  # a complex step does the product rule, without error
-        chances = self._patterns(whisker, np.asarray(contact, dtype=float)[..., 0], 1j * tiny)
-        return np.asarray(chances.imag[..., :-1, None] / tiny)
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""
@@ -440,12 +413,7 @@ class ComparativeLength(Cue):
         return outcome[back.reshape(reading.shape[:-1])]
 
 
-def _normal(z: Array) -> Array:
-    """The standard normal density."""
-    return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi))
-
-
-def _together(touch: Any) -> Any:
+def _together(touch: Array) -> Array:
     """Chances (..., 2ᵐ) of the patterns of m whiskers with independent chances (..., m)."""
     shape = touch.shape[:-1]
     out = np.ones((*shape, 1))
