@@ -289,7 +289,7 @@ def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() ->
     assert found.status is Status.IMPROBABLE_READING
     assert "no one place explains all readings within 5 sd" in repr(found)
     nowhere = repr(ww.place(both, dict.fromkeys(touches)))
-    assert "whiskers touch; no contact; no whisker touches: 94 % of the region" in nowhere
+    assert "whiskers; no contact; no whisker touches: 94 % of the region" in nowhere
 
 
 def test_information_predicts_the_spread_of_posteriors() -> None:

@@ -497,7 +497,7 @@ def test_no_answers_leave_the_prior() -> None:
     np.testing.assert_allclose(
         fit.posterior.quantile("weber_fraction", ENDS), prior.ppf(ENDS), rtol=5e-3
     )
-    assert "2 trials have no answer" in fit.report()
+    assert "2 trials without an answer" in fit.report()
     json.loads(fit.to_json())
 
 

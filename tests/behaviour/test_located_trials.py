@@ -182,7 +182,7 @@ def test_touches_are_joined_combined_and_missed() -> None:
     lost = touches.copy()
     lost.loc[0, "touch_status"] = "rows_disagree"
     missing = with_distances(trials, lost, ENCODING)
-    assert any(note.startswith("1 touches were not located") for note in missing.notes)
+    assert any(note.startswith("1 touch not located") for note in missing.notes)
     row = missing.frame.iloc[0]
     assert row["stimulus_1"] == pytest.approx(trials.frame["stimulus_1"].iloc[0] + 1e-3, abs=3e-4)
     assert row["stimulus_1_sd"] == pytest.approx(2e-3, rel=0.15)

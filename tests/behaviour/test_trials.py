@@ -62,7 +62,7 @@ def test_columns_by_any_name_and_text_labels(tmp_path: Path) -> None:
     )
     assert trials.frame["count"].tolist()[:2] == [0.0, 1.0]
     assert (trials.n_trials, trials.n_missing) == (2, 1)
-    assert "1 trials have no answer" in trials.notes[0]
+    assert "1 trial without an answer" in trials.notes[0]
 
 
 def test_writing_and_reading_come_round(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def one_sentence(message: str) -> bool:
         ("subject,log_ratio,choice\nr1,1,1\n,1,1\n", ["'subject'", "row 2", "name the subject"]),
         (GOOD + "\n\n1,x,1\n", ["'stimulus_2'", "row 5", "'x' is not a number"]),
         (
-            "stimulus_1;stimulus_2;choice\n0,5;2;1\n",
+            "stimulus_1;stimulus_2;choice\n0,5;2;1\n0.5;2;1\n",
             ["'0,5' is not a number; write 0.5, or give pandas.read_csv", 'decimal=","'],
         ),
     ],
@@ -269,6 +269,57 @@ def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     message = refusal(table(tmp_path, "", "t.nwb"))
     assert one_sentence(message), message
     assert "pip install 'weberwhisk[nwb]'" in message
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+def test_decimal_commas_are_read_whatever_separates_columns(tmp_path: Path, separator: str) -> None:
+    """As spreadsheets write them in German or French; the remark's comma is no number's."""
+    path = tmp_path / "trials.csv"
+    table = pd.DataFrame({"standard": [1.5, 1.5, 30.25], "comparison": [1.2, 1.8, 1.5e-5],
+                          "choice": [0, 1, 1], "remark": ["good, or so", "1", "2"]})  # fmt: skip
+    table.to_csv(path, sep=separator, decimal=",", index=False)
+    frame = read_trials(path).frame
+    assert frame["stimulus_1"].tolist() == [1.5, 1.5, 30.25]
+    assert frame["stimulus_2"].tolist() == [1.2, 1.8, 1.5e-5]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "standard\tcomparison\tchoice\n1,500\t1,200\t0\n1,500\t1,800\t1\n",  # or thousands
+        "standard;comparison;choice\n1.5;1,2;0\n1.5;1.8;1\n",  # both signs in one column
+        "standard;comparison;choice\n1.500,5;1,2;0\n1,5;1,8;1\n",
+    ],
+)
+def test_commas_that_may_be_of_thousands_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "trials.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="is not a number; write") as refused:
+        read_trials(path)
+    assert str(refused.value).count("'standard'") < 2
+
+
+def test_percentages_are_answers_of_the_trials_of_their_row() -> None:
+    percent = {"percent_correct": [90.0, 62.5, 67.0, np.nan], "n": [40, 40, 40, 10]}
+    table = pd.DataFrame({"standard": 1.5, "comparison": [1.2, 1.6, 1.7, 1.8], **percent})
+    trials = read_trials(table)
+    assert trials.task.name == "2AFC percent correct"
+    counts = trials.frame["count"]
+    assert counts[:3].tolist() == [36, 25, 27]  # 27 of 40 are 67.5 %
+    assert np.isnan(counts[3])
+    other = table.rename(columns={"percent_correct": "% right"})
+    mapped = read_trials(other, columns={"percent_greater": "% right"})
+    assert mapped.task.name == "2AFC"
+    assert mapped.frame["count"][:3].tolist() == [36, 25, 27]
+    for values, said in (
+        ([150.0, 1, 2, 3], "150 is no percentage"),
+        ([0.9, 0.6, 0.7, 1.0], "as if these were proportions"),
+        ([91.0, 50, 50, 50], "91 % of 40 trials is no whole number"),
+        (["x"] * 4, "'x' is not an answer"),
+    ):
+        with pytest.raises(ValueError, match=said) as refused:
+            read_trials(table.assign(percent_correct=values))
+        assert "\n" not in str(refused.value)
 
 
 def test_semicolons_and_a_byte_order_mark(tmp_path: Path) -> None:

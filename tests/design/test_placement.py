@@ -188,7 +188,7 @@ def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
     assert 20 < n < 300
     assert (high - low) / (high + low) < 0.55
     few = session(BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), most=3, seed=1), 3, answer)
-    assert few.finished == "there are 3 trials, as many as wanted"
+    assert few.finished == "3 trials, as many as wanted"
 
 
 # -- the trials saved ----------------------------------------------------------------------------

@@ -151,7 +151,7 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
     assert given[given.notna()].tolist() == (answer - 1)[given.notna().to_numpy()].tolist()
     found = plan.analyse(trials, unit=1e-3)
     words = found.report()
-    assert "1 trials have no answer" in words
+    assert "1 trial without an answer" in words
     assert "planned 10" in words
     precise = replace(plan, goal=Goal(half_width=0.2), power=None)
     precisely = precise.analyse(trials, unit=1e-3).report()
@@ -217,7 +217,7 @@ def test_located_contacts_have_a_methods_paragraph() -> None:
     signals = {"moment_uNm": bent.moment * 1e6, "axial_force_uN": bent.axial_force * 1e6}
     table = pd.DataFrame(signals | {"touch": [1, 1, 2]})
     text = methods_paragraph(ww.locate(table, whisker, touch="touch", noise=0.1))
-    for said in ("3 rows of a table (3 converged)", "2 touches were located", "Weber(0.1).",
+    for said in ("3 rows of a table (3 converged)", "2 touches located", "Weber(0.1).",
                  "its curvature has a normal prior",
                  "radial_distance flat from 0 to 50 mm", "stiffness lognorm(", "ForceMap(",
                  f"weberwhisk {ww.__version__} (NumPy {np.__version__}"):  # fmt: skip

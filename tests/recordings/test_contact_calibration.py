@@ -128,6 +128,81 @@ def test_refusals(change: dict, sentence: str) -> None:
         ww.calibrate(taps, NOMINAL)
 
 
+def test_columns_of_distance_and_slope_by_any_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    from weberwhisk.cli import run_app
+
+    taps = _taps(each=3)
+    plain = ww.calibrate(taps, NOMINAL).parameters
+    names = {"radial_distance": "Abstand", "moment_rate": "Steigung"}
+    own = taps.set_axis([*names.values()], axis=1)
+    for unit, scale in (("mm", 1.0), ("cm", 0.1), ("m", 1e-3)):
+        table = own.assign(Abstand=scale * own["Abstand"])
+        found = ww.calibrate(table, NOMINAL, columns=names, units={"radial_distance": unit})
+        pd.testing.assert_frame_equal(found.parameters, plain)
+        suffixed = table.rename(columns={"Abstand": f"d [{unit}]"})
+        found = ww.calibrate(suffixed, NOMINAL, columns=names | {"radial_distance": f"d [{unit}]"})
+        pd.testing.assert_frame_equal(found.parameters, plain)
+    with pytest.raises(ValueError, match=r'in metres: write units=\{"radial_distance": "mm"\}'):
+        ww.calibrate(own, NOMINAL, columns=names)
+    path = tmp_path / "taps.csv"
+    own.to_csv(path, sep=";", decimal=",", index=False)
+    words = ["calibrate", str(path), "--length-mm", "120", "--base-radius-um", "800",
+             "--tip-radius-um", "400", "--youngs-modulus-gpa", "2", "--unit", "radial_distance=mm",
+             "--column", "radial_distance=Abstand", "--column", "moment_rate=Steigung"]  # fmt: skip
+    assert run_app(app, words) in (0, None)
+    assert "The model fits" in capsys.readouterr().out
+
+
+def test_fits_is_said_of_what_was_tested_alone() -> None:
+    """Distances jittered by 0.01 mm are repeats; without repeats a misfit cannot be told."""
+    rng = np.random.default_rng(2)
+    taps = _taps()
+    jittered = taps.assign(
+        radial_distance_mm=taps["radial_distance_mm"] + 0.01 * rng.standard_normal(len(taps))
+    )
+    exact, found = ww.calibrate(taps, NOMINAL), ww.calibrate(jittered, NOMINAL)
+    assert len(found.left_out) == 11
+    assert found.p_value == pytest.approx(exact.p_value, abs=0.1)
+    once = ww.calibrate(taps.iloc[::12], NOMINAL)
+    assert np.isnan(once.p_value)
+    assert not once.fits
+    assert "Whether the model fits cannot be tested" in once.message
+    contacts = taps.iloc[6::12].drop(columns="radial_distance_mm")
+    located = ww.locate(contacts, once)
+    assert located["message"].str.contains("the calibration was not tested: widened by").all()
+
+
+def test_slopes_without_noise_give_back_the_sensor() -> None:
+    """As a first try on computed slopes has them; with no least noise their density had no end."""
+    taps = _taps(each=5)
+    r = taps["radial_distance_mm"].to_numpy() / 1e3
+    exact = ww.Observer(TRUE, HingedTap(HINGE)).signals(r[:, None])[0][:, 0]
+    found = ww.calibrate(taps.assign(moment_rate=exact), NOMINAL)
+    assert found.fits
+    assert found.whisker.stiffness == pytest.approx(TRUE.stiffness, rel=1e-3)
+    assert found.cue.hinge == pytest.approx(HINGE, rel=1e-2)
+    assert found.noise.weber_fraction < 2e-4
+
+
+def test_a_calibration_that_does_not_fit_widens_what_it_locates() -> None:
+    """The slopes of every distance off by 5 % (sd), where taps scatter by 2.5 %."""
+    rng = np.random.default_rng(4)
+    taps = _taps()
+    off = np.repeat(1 + 0.05 * rng.standard_normal(11), 12)
+    found = ww.calibrate(taps.assign(moment_rate=off * taps["moment_rate"]), NOMINAL)
+    assert found.p_value < 1e-6
+    assert found.noise.weber_fraction == pytest.approx(K, rel=0.15)
+    assert 0.02 < found.misfit < 0.12
+    contacts = taps.drop(columns="radial_distance_mm").iloc[::12]
+    located = ww.locate(contacts, found)
+    assert located["message"].str.contains("the calibration does not fit: widened by").all()
+    assert (
+        located["sd_mm"] > 1.4 * ww.locate(contacts, ww.calibrate(taps, NOMINAL))["sd_mm"]
+    ).all()
+
+
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     from weberwhisk.cli import run_app
 

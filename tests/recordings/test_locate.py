@@ -192,7 +192,7 @@ def test_touches_are_named_in_every_row() -> None:
     lonely = each.iloc[[1, 4]]
     for name in ("radial_distance_mm", "sd_mm", "lower_mm"):  # a touch of one row is that row
         assert lonely[f"touch_{name}"].tolist() == lonely[name].tolist()
-    assert any("1 of 3 touches, such as 'a', have rows in" in n for n in each.attrs["notes"])
+    assert any("Rows of 1 of 3 touches, such as 'a', stand in" in n for n in each.attrs["notes"])
     flag = table.assign(touch=table["touch"].eq(1))
     with pytest.raises(ValueError, match="does not say which"):
         ww.locate(flag, KNOWN, touch="touch")
@@ -278,6 +278,46 @@ def test_the_command_writes_table_touches_and_figure(
     assert "No distance follows" in capsys.readouterr().err
 
 
+def test_what_a_tracker_wrote_is_told_what_it_lacks(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Measurements lack points, and points what `tracked_signals` makes of them."""
+    from weberwhisk.cli import run_app
+
+    file = Path(__file__).parents[1] / "data" / "tracking" / "test_5frames.measurements"
+    measured = ww.read_tracking(file, pixels_per_mm=20, frame_rate=500, shortest_px=200)
+    with pytest.raises(ValueError, match=r"points are what is missing: read Whisk's \.whiskers"):
+        ww.locate(measured, C2)
+    with pytest.raises(ValueError, match=r"test_5frames\.measurements is of a tracker: forces"):
+        ww.locate(file, C2)
+    points = tmp_path / "tracked_session.csv"
+    rows = [f"{frame},{60 * i},{i}" for frame in range(12) for i in range(9)]
+    points.write_text("\n".join(["frame,x,y", *rows]))
+    remedy = (
+        r"write ww\.tracked_signals\(ww\.read_tracking\(file, pixels_per_mm=20, frame_rate=500\)"
+    )
+    for table in (points, ww.read_tracking(points)):
+        with pytest.raises(ValueError, match=remedy):
+            ww.locate(table, C2)
+    assert run_app(app, ["locate", str(points), "--identity", "C2"]) == 2
+    assert (
+        "write --pixels-per-mm 20 --frame-rate 500 with your video's numbers."
+        in capsys.readouterr().err
+    )
+    given = ["locate", str(points), "--identity", "C2", "--pixels-per-mm", "20"]
+    assert run_app(app, given) == 2
+    assert "write --frame-rate 500" in capsys.readouterr().err
+
+
+def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
+    table = pd.DataFrame({"moment_uNm": 1e6 * b.moment, "axial_force": b.axial_force})
+    table.to_csv(tmp_path / "contacts.csv", sep=";", decimal=",", index=False)
+    found = ww.locate(tmp_path / "contacts.csv", KNOWN, noise=0.1)["radial_distance_mm"]
+    plain = ww.locate(table, KNOWN, noise=0.1)["radial_distance_mm"]
+    np.testing.assert_allclose(found, plain, rtol=1e-9)
+
+
 @pytest.mark.parametrize("count", [18, pytest.param(300, marks=pytest.mark.slow)])
 def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, count: int) -> None:
     """Cut files, swapped columns, NaN and text, other units: refused, or every row has a status."""
@@ -341,45 +381,6 @@ def test_units_of_many_words_and_of_errors() -> None:
 
 
 FORCES = ["moment", "axial_force", "transverse_force"]
-ARC = replace(KNOWN, curvature=8.0)
-
-
-def _tilted(touches: int, rows: int, seed: int) -> pd.DataFrame:
-    """Contacts of an arc, the force's direction 7° off in each touch and drifting within it."""
-    rng = np.random.default_rng(seed)
-    observer = ww.Observer(ARC, ww.cues.ForceMap(FORCES))
-    out = []
-    for touch in range(touches):
-        r = rng.uniform(0.25, 0.85) * ARC.length
-        least, held = (float(np.ravel(v)[0]) for v in observer.angle_range(np.array([r])))
-        theta = least + held * np.linspace(0.08, rng.uniform(0.2, 0.6), rows)
-        m, fx, fy = observer.signals(np.stack([np.full(rows, r), theta], axis=-1))[0].T
-        off = rng.standard_normal() + 0.5 * rng.standard_normal() * np.linspace(-1, 1, rows)
-        force = (-fx + 1j * fy) * np.exp(1j * np.radians(7.0) * off)
-        force *= 1 + 0.03 * rng.standard_normal(rows)
-        own = {"moment": m * (1 + 0.03 * rng.standard_normal(rows)), "axial_force": -force.real,
-               "transverse_force": force.imag, "touch": touch, "true_mm": 1e3 * r}  # fmt: skip
-        out.append(pd.DataFrame(own))
-    return pd.concat(out, ignore_index=True)
-
-
-@pytest.mark.parametrize("signals", [2, 3])
-def test_noise_that_nobody_gave_is_learnt(signals: int) -> None:
-    """The short form of `analyses/accuracy/tables.py`: 95 % intervals hold 90 % at least."""
-    table = _tilted(9, 3, seed=3).drop(columns=FORCES[signals:])
-    found = ww.locate(table, ARC, touch="touch")
-    truth = found["true_mm"]
-    for of in ("", "touch_"):
-        low, high = found[f"{of}lower_mm"], found[f"{of}upper_mm"]
-        assert truth.between(low, high).mean() >= 0.9
-        # Wide is easy: intervals say more than the prior does.
-        assert (high - low).median() < 0.8 * 0.95e3 * ARC.length
-    sure = ww.locate(table, ARC, touch="touch", noise=0.03)
-    assert truth.between(sure["lower_mm"], sure["upper_mm"]).mean() < 0.7
-    said = " ".join(found.attrs["notes"])
-    assert "was not given and was learnt from" in said
-    assert ("redundant signals" in said) == (signals == 3)
-    assert ("misfit_sd" in found) == (signals == 3)
 
 
 def test_a_row_at_odds_with_its_own_redundancy_says_so() -> None:

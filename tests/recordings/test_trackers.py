@@ -259,7 +259,7 @@ def test_a_whisker_without_its_first_keypoint_is_left_out(tmp_path: Path) -> Non
     found = ww.read_tracking(tmp_path / "a.csv")
     assert found["frame"].tolist() == [0, 2]
     assert [v.tolist() for v in found["x"]] == [[0, 5, 10], [0, 10]]
-    assert "2 whiskers have no likely first keypoint" in found.attrs["notes"][1]
+    assert "2 whiskers without a likely first keypoint" in found.attrs["notes"][1]
 
 
 def test_points_out_of_order_and_from_the_tip_are_told(tmp_path: Path) -> None:

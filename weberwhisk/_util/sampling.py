@@ -219,7 +219,7 @@ def sample_stacked(
     outside = np.isneginf(state.log_prob).reshape(count, -1).sum(axis=1)
     if outside.any():  # emcee takes them, and they stay
         raise ValueError(
-            f"{outside.sum()} walker(s) of {np.sum(outside > 0)} posterior(s) start where the "
+            f"walkers ({outside.sum()} of {np.sum(outside > 0)} posteriors) start where the "
             f"log-density is -inf, the first in posterior {np.argmax(outside > 0)}; start them "
             "inside the support."
         )

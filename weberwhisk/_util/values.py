@@ -119,7 +119,7 @@ def in_short(value: Any) -> str:
         given = [*map(in_short, value.args), *(f"{k}={in_short(v)}" for k, v in value.kwds.items())]
         return f"{value.dist.name}({', '.join(given)})"
     if hasattr(value, "iloc"):
-        return f"<table of {len(value)} rows>"
+        return f"<table of {counted(len(value), 'row')}>"
     return getattr(value, "__qualname__", None) or repr(value)
 
 
@@ -305,10 +305,11 @@ def counted(number: int, thing: str) -> str:
 
     Examples
     --------
-    >>> counted(1, "trial"), counted(2, "trial")
-    ('1 trial', '2 trials')
+    >>> counted(1, "trial"), counted(2, "trial"), counted(2, "touch")
+    ('1 trial', '2 trials', '2 touches')
     """
-    return f"{number} {thing}{'s' * (number != 1)}"
+    plural = "es" if thing.endswith("ch") else "s"
+    return f"{number} {thing}{plural if number != 1 else ''}"
 
 
 def methods_text(sentences: Sequence[str]) -> str:

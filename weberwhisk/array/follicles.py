@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import angle, number, one_of, one_or_more
-from .._util.values import Array, Shown, Value, pd
+from .._util.values import Array, Shown, Value, counted, pd
 from ..mechanics.shape import Profile, Spiral
 from ..whisker import SPECIES, Whisker, rest_shape
 from ..whisker import identities as known_identities
@@ -313,7 +313,8 @@ class WhiskerArray(Shown, Value):
         angle = f"{np.degrees(self.protraction):.3g}°"
         pose = f"protracted by {angle}" if self.protraction else "at rest"
         shape = "curved" if self.curved else "straight"
-        return f"{self.species}, {len(self.identities)} {shape} whiskers on {where}, {pose}"
+        many = counted(len(self.identities), f"{shape} whisker")
+        return f"{self.species}, {many} on {where}, {pose}"
 
     def _follicle(self, identity: str, side: str) -> Follicle:
         at, row = published(identity, self.species), ROWS.index(identity[0])

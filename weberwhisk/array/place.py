@@ -239,7 +239,7 @@ class Place(Shown):
         where = f"x = {x:.3g} ± {dx:.2g} mm, y = {y:.3g} ± {dy:.2g} mm"
         z, dz = (1e3 * v for v in self.height[:2])
         where += "" if np.isnan(z) else f", z = {z:.3g} ± {dz:.2g} mm"
-        said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
+        said = f"{where}, touched by {len(self.touching)} of {len(self.readings)} whiskers"
         return "; ".join(filter(None, (said, self._said, self.note)))
 
 

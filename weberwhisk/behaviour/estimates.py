@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.values import Array, Shown, interval_text
+from .._util.values import Array, Shown, counted, interval_text
 from . import psychometric as curve
 from .effects import Effect
 from .encodings import Encoding, refuse_outside
@@ -301,7 +301,8 @@ class Estimates(Shown):
         if "weber_fraction" in self.parameters:
             k = f"k = {interval_text(self.weber_fraction, *self.interval())}"
         unit = f" {self.unit}" if self.unit else ""
-        return f"{k}{unit}; {self.trials.n_trials} trials, {self.method}; {self.status.name}"
+        many = counted(self.trials.n_trials, "trial")
+        return f"{k}{unit}; {many}, {self.method}; {self.status.name}"
 
 
 def check_fit(fit: object, name: str = "fit") -> None:

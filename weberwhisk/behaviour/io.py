@@ -38,7 +38,11 @@ ANSWERS = {
     "n_greater": "2AFC",
     "correct": "2AFC percent correct",
     "n_correct": "2AFC percent correct",
+    "percent_greater": "2AFC",
+    "percent_correct": "2AFC percent correct",
 }
+#: Those of one trial a row; of the others a row has `n` trials.
+SINGLE = ("choice", "correct")
 NAMES = (
     *LABELS, "stimulus_1", "stimulus_2", "standard", "comparison", "log_ratio", "n", *ANSWERS, *SDS,
 )  # fmt: skip
@@ -59,15 +63,16 @@ def read_trials(
     Parameters
     ----------
     source : path or DataFrame
-        CSV, tab- or semicolon-separated text, compressed or not; Parquet and Excel (extra
-        `tables`), the `trials` of an NWB file (extra `nwb`), Bpod's `SessionData` (.mat), by the
-        suffix of the name.
+        CSV, tab- or semicolon-separated text, with points or commas for decimals, compressed or
+        not; Parquet and Excel (extra `tables`), the `trials` of an NWB file (extra `nwb`), Bpod's
+        `SessionData` (.mat), by the suffix of the name.
     columns : mapping, optional
         Our names → the file's, for those that differ. Ours: the stimuli as `stimulus_1` and
         `stimulus_2` (with `standard` if it is known), or `standard` and `comparison`, or
         `log_ratio` (stimulus 2 over stimulus 1); the answer as `choice` (which was greater,
-        farther) or `correct`, or for counts `n` with `n_greater` or `n_correct`; and if there
-        `subject`, `session`, `trial`. Stimuli in `stimulus_1_mm`, `standard_mm` and so on are
+        farther) or `correct`, or of `n` trials a row `n_greater` or `n_correct`, or
+        `percent_greater` or `percent_correct` (0 to 100, rounded to whole percent at most); and if
+        there `subject`, `session`, `trial`. Stimuli in `stimulus_1_mm`, `standard_mm` and so on are
         read in metres, unless one is mapped or goes by its plain name. `stimulus_1_sd` and
         `stimulus_2_sd` are the sds of located places (`with_distances`), in the stimuli's unit.
     task : str, optional
@@ -144,7 +149,7 @@ def read_trials(
             "choice_labels say which stimulus was reported greater, got them for the answer "
             f"{answer!r}; leave them out and write 1 for correct and 0 for wrong, or counts."
         )
-    if "n" in mapped and not answer.startswith("n_"):
+    if "n" in mapped and answer in SINGLE:
         raise ValueError(
             f"columns maps 'n', the trials of a row, got {answer!r}, the answer of one trial; map "
             "'n_greater' or 'n_correct' to the count of answers, or leave 'n' out."
@@ -153,7 +158,8 @@ def read_trials(
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
     table = check.table
     metres = 1e3 if lengths else 1.0
-    numbers = {c: check.numbers(c) / metres for c in (*stimuli, "standard") if c in table}
+    numbers = {c: check.numbers(c) / metres for c in {**dict.fromkeys(stimuli), "standard": None}
+               if c in table}  # fmt: skip
     known = {*SDS} <= {*table}  # located places, as `Trials.table` has them
     sds = {c: check.numbers(c, least=0.0) / metres for c in SDS if known}
     if scale == "linear":
@@ -161,7 +167,7 @@ def read_trials(
     labels = {c: check.labels(c) for c in LABELS if c in table}
     n = count = np.zeros(0)
     if answer in table:
-        n, count = check.answers(answer, answer.startswith("n_"), choice_labels)
+        n, count = check.answers(answer, answer not in SINGLE, choice_labels)
     check.raise_problems()
 
     if stimuli == ("log_ratio",):
@@ -237,7 +243,7 @@ def _choose_columns(
     if answer is None:
         answer = task.response if task else "choice"
         check.missing_column(answer, here, "needed for the answer")
-    if answer.startswith("n_") and "n" not in expected:
+    if answer not in SINGLE and "n" not in expected:
         check.missing_column("n", here, "needed for the number of trials")
     return stimuli, answer
 
@@ -345,21 +351,25 @@ class TableCheck:
         blank = _blank(cells) | cells.map(_as_text).isin(none).to_numpy()
         if counted:
             n, count = self._counts(answer, blank)
-            remedy = "write whole numbers"
+            remedy = "write numbers"
         else:
             n = np.ones(len(cells))
             count, remedy = _single_answers(cells, answer, labels)
         text = np.isnan(count) & ~blank
         if text.any():
-            self.add(answer, text, f"{cells[text].iloc[0]!r} is not an answer; {remedy}.")
+            self.add(answer, text, f"{_as_text(cells[text].iloc[0])!r} is not an answer; {remedy}.")
         return n, count
 
     def _counts(self, answer: str, blank: Flags) -> tuple[Array, Array]:
         count = _floats(self.table[answer])
-        columns = {answer: (count, blank)}
         n = np.full(count.shape, np.nan)
         if "n" in self.table:  # where it is not, that has been said
             n = self.numbers("n")
+        if answer.startswith("percent_"):
+            self._percentages(answer, count, n)
+            count = np.round(np.nan_to_num(n) * np.clip(count, 0, 100) / 100)
+        columns = {answer: (count, blank)}
+        if "n" in self.table:
             columns = {"n": (n, np.zeros(len(n), bool)), **columns}
         for column, (values, gaps) in columns.items():
             bad = ~gaps & np.isfinite(values) & ((values < 0) | (values != np.round(values)))
@@ -371,6 +381,20 @@ class TableCheck:
             said = f"{count[over][0]:g} is above the {n[over][0]:g} trials in column 'n'; check "
             self.add(answer, over, f"{said}which is which.")
         return n, count
+
+    def _percentages(self, column: str, percent: Array, n: Array) -> None:
+        """Percentages of `n` trials may have been rounded, to whole percent at most."""
+        off = (percent < 0) | (percent > 100)
+        said = "{p:g} is no percentage"
+        if not off.any() and 0 < np.nanmax(percent, initial=0) <= 1:
+            off, said = percent > 0, "none is above 1, as if these were proportions"
+        elif not off.any():
+            answers = n * percent / 100
+            off = np.abs(answers - np.round(answers)) > 0.005 * n + 1e-9
+            said = "{p:g} % of {n:g} trials is no whole number of answers"
+        if off.any():
+            said = said.format(p=percent[off][0], n=n[off][0])
+            self.add(column, off, f"{said}; write percent of the row's n trials, or counts.")
 
 
 def _floats(cells: pd.Series) -> Array:
@@ -399,7 +423,8 @@ def _single_answers(
         values = _floats(cells.map(lambda c: truths.get(c, c)))
         kept = np.where(np.isin(values, [0, 1]), values, np.nan)
         if answer != "choice":
-            return kept, "write 1 for correct and 0 for wrong"
+            remedy = "write 1 for correct and 0 for wrong, or map percentages as percent_correct"
+            return kept, remedy
         remedy = "write 1 for second greater and 0 for first greater, or give "
         return kept, f"{remedy}choice_labels={{label: 'first' or 'second'}}"
     codes = {"first": 0.0, "second": 1.0, "none": np.nan}

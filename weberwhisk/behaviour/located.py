@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, counted
 from ..inference.observer import Observer
 from ..recordings import locate
 from ..recordings.columns import FROM_SHAPE, read_contacts
@@ -174,9 +174,9 @@ def with_distances(
         f"{unit * np.nanmedian(sd):.3g} mm; each trial is integrated over where it may have been.",
     ]
     if missing:
-        notes.append(f"{missing} touches were not located: taken as scattered about the pole.")
+        notes.append(f"{counted(missing, 'touch')} not located: taken as scattered about the pole.")
     if stray:
-        notes.append(f"{stray} located touches belong to no trial and were left out.")
+        notes.append(f"{counted(stray, 'located touch')} of no trial: left out.")
     columns = {"stimulus_1": at[:, 0], "stimulus_2": at[:, 1]}
     columns |= {name: own[:, i] for i, name in enumerate(SDS)}
     return replace(trials, frame=frame.assign(**columns), notes=(*trials.notes, *notes))

@@ -126,7 +126,7 @@ class PopulationFit(Shown):
         return -np.inf if self.population is None else self.population.log_evidence
 
     def _line(self) -> str:
-        animals = f"{len(self.subjects)} animals"
+        animals = counted(len(self.subjects), "animal")
         if self.population is None:
             return f"{animals}; {self.status.name}"
         k = interval_text(self.weber_fraction, *self.interval())
@@ -151,7 +151,7 @@ class PopulationFit(Shown):
                 k = f"k = {interval_text(row['weber_fraction'], row['lower'], row['upper'])}"
                 alone = interval_text(row["alone"], row["alone_lower"], row["alone_upper"])
                 k += f"; from its own trials alone {alone}"
-            lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
+            lines.append(f"{row['subject']}: {counted(row['n'], 'trial')}; {k}; {row['status']}.")
         return "\n".join([*lines, *self.notes]) + "\n"
 
     def methods(self) -> str:

@@ -36,7 +36,7 @@ def _data(fit: Estimates) -> str:
     moved = f", moved by {', '.join(fit.effects)}" if fit.effects else ""
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
-        f"{t.source}: {t.n_trials} trials with an answer{missing}; "
+        f"{t.source}: {counted(t.n_trials, 'trial')} with an answer{missing}; "
         f"{counted(cells.n.size, 'pair')} of stimuli at {counted(fit.standards.size, 'standard')}"
         f"; task {t.task.name}. "
         f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."

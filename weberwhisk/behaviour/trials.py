@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.output import atomic_write, csv_text
-from .._util.values import Array, Flags, Index, Line
+from .._util.values import Array, Flags, Index, Line, counted
 from .tasks import Task
 
 __all__ = [
@@ -127,9 +127,9 @@ class Trials(Line):
     def _line(self) -> str:
         who = f" of {len(self.subjects)} subjects" if len(self.subjects) > 1 else ""
         lost = f", {self.n_missing} without" if self.n_missing else ""
-        notes = f"; {len(self.notes)} notes" if self.notes else ""
+        notes = f"; {counted(len(self.notes), 'note')}" if self.notes else ""
         return (
-            f"{self.n_trials} with an answer{lost}, in {len(self)} rows{who}; "
+            f"{self.n_trials} with an answer{lost}, in {counted(len(self), 'row')}{who}; "
             f"{self.task.name}, {self.scale} scale, {self.source}{notes}"
         )
 
@@ -242,17 +242,18 @@ def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:
     notes = []
     missing = int(frame.loc[frame["count"].isna(), "n"].sum())
     if missing:
-        notes.append(f"{missing} trials have no answer and stay out of the likelihood.")
+        said = counted(missing, "trial")
+        notes.append(f"{said} without an answer: left out of the likelihood.")
     if "trial" in frame or (frame["n"] > 1).any():
         twice = frame.duplicated().to_numpy()
         if twice.any():
             notes.append(
-                f"{int(twice.sum())} rows occur more than once, the first in "
-                f"{rows_in_words(places[twice])}; they are counted as they stand."
+                f"{counted(int(twice.sum()), 'repeated row')}, the first in "
+                f"{rows_in_words(places[twice])}: counted as it stands."
             )
     empty = int((frame["n"] == 0).sum())
     if empty:
-        notes.append(f"{empty} rows hold a level without trials, which says nothing.")
+        notes.append(f"{counted(empty, 'row')} of a level without trials, which says nothing.")
     return tuple(notes)
 
 

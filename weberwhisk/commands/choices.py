@@ -11,6 +11,7 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text, to_json
+from .._util.values import counted
 from . import numbers
 
 if TYPE_CHECKING:
@@ -138,8 +139,9 @@ def simulate(
     lines = [] if whisker is None else [opt.whisker_line(whisker)]
     many = "" if animals is None else f" of {subjects} animals"
     lines.append(
-        f"{len(table)} trials{many} of {trials.task.name}, {trials.n_missing} without an answer; "
-        f"{base.size} standard{'s' if base.size > 1 else ''}, "
+        f"{counted(len(table), 'trial')}{many} of {trials.task.name}, "
+        f"{trials.n_missing} without an answer; "
+        f"{counted(base.size, 'standard')}, "
         f"Weber fraction {weber_fraction:g}, "
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )

@@ -13,7 +13,7 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run
-from .._util.values import Array, pd
+from .._util.values import Array, counted, pd
 from . import a_seed, numbers, progress
 
 __all__ = ["bend", "calibrate", "curve_in_steps", "jnd", "locate"]
@@ -303,13 +303,13 @@ def locate(
     if taps is not None:
         whisker = by.whisker
     notes, few = (*heard, *table.attrs["notes"]), table.head(20).drop(columns="message")
-    more = [f"… and {len(table) - len(few)} more rows."] * (len(few) < len(table))
-    counted = table["message"].value_counts().items()
+    more = [f"… and {counted(len(table) - len(few), 'more row')}."] * (len(few) < len(table))
+    messages = table["message"].value_counts().items()
     answer = {"notes": notes, "rows": table.to_dict("records")}
     opt.finish(
         run, as_json, {"whisker": opt.describe(whisker), **answer}, opt.whisker_line(whisker),
         few.to_string(float_format="{:.6g}".format, na_rep="-"), *more,
-        *(f"{count} of {len(table)} rows: {message}." for message, count in counted), *notes,
+        *(f"{count} of {len(table)} rows: {message}." for message, count in messages), *notes,
     )  # fmt: skip
 
 

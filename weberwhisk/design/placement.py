@@ -82,7 +82,7 @@ class TrialLog(Line):
     def finished(self) -> str:
         """Why there are trials enough; empty where there are not."""
         if self.most is not None and len(self._rows) >= self.most:
-            return f"there are {len(self._rows)} trials, as many as wanted"
+            return f"{counted(len(self._rows), 'trial')}, as many as wanted"
         return ""
 
     def next(self, standard: float | None = None) -> Proposal:

@@ -176,7 +176,7 @@ def _hint_at_units(observer: Observer, reading: Array, solution: Solution, known
     if odd.sum() * 2 > known:
         first = int(np.argmax(odd))
         warn(
-            f"{odd.sum()} of {known} readings are far above what this whisker gives, the "
+            f"{odd.sum()} of {known} readings far above what this whisker gives, the "
             f"first {reading[first].tolist()}, {times[first].max():.3g} times the usual; readings "
             "are in SI units (N m, N, rad): did you pass mN?",
             stacklevel=3,

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
-from scipy.special import ndtri
+from scipy.optimize import least_squares, minimize
+from scipy.special import expit, ndtri
 from scipy.stats import f as f_distribution
 
 from .. import domain
@@ -28,10 +28,12 @@ __all__ = ["Calibration", "HingedTap", "averaged", "calibrate"]
 
 #: Taps within this share of the length of each other are at one distance.
 NEAR = 0.01
+#: Share of a slope that its noise is at least: slopes without any would have no likelihood.
+LEAST = 1e-4
 #: Draws of the posterior that `locate` goes by: their mean's sd is a fifth of what they add.
 SAMPLES = 24
-#: Beliefs, mean and sd: logit of length over apex distance; ln of hinge over length, of the misfit
-#: of one distance, and of k.
+#: Beliefs, mean and sd: logit of length over apex distance; ln of hinge over length; logit of the
+#: misfit of one distance; ln of k.
 BELIEFS = np.array([[1.5, 2.0], [-3.0, 2.0], [-4.5, 1.5], [-3.0, 1.5]])
 
 
@@ -255,7 +257,7 @@ def calibrate(
         for i, o in zip(kept, off, strict=True)
     )
     return Calibration(
-        found, cue, noise, parameters, residuals, _left_out(r, y, whisker, hinge),
+        found, cue, noise, parameters, residuals, _left_out(r, y, whisker, mode),
         _lack_of_fit(r, y / fitted, len(mode) - 2, whisker), float(1 / (weight**2).sum()),
         samples, by_velocity,
     )  # fmt: skip
@@ -292,9 +294,12 @@ def _taps(
     r, y = r[known][order], y[known][order]
     off = (r <= 0) | (r > whisker.length)
     if off.any():
+        column, factor, said = found["radial_distance"]
+        unit = f"{column!r} was read in {'metres' if factor == 1 else f'units of {factor:g} m'}"
+        unit += "; correct it" if said else ': write units={"radial_distance": "mm"}, say'
         raise ValueError(
             f"A distance of {1e3 * r[off][0]:g} mm is not on a whisker of "
-            f"{1e3 * whisker.length:g} mm; radial_distance_mm is in millimetres."
+            f"{1e3 * whisker.length:g} mm; {unit}."
         )
     if len(r) and np.median(r) < domain.CONTACTS[0] * whisker.length:
         raise ValueError(
@@ -336,11 +341,11 @@ def _natural(x: Array, whisker: Whisker) -> tuple[Array, Array, Array, Array, Ar
     """gain·3EI₀, apex distance, hinge (m), misfit and Weber fraction at x (..., 4 or 5)."""
     apex = whisker.length * (1 + np.exp(-x[..., 1]))
     give = whisker.length * np.exp(x[..., 2]) if x.shape[-1] > 4 else 0.0 * apex
-    return np.exp(x[..., 0]), apex, give, np.exp(x[..., -2]), np.exp(x[..., -1])
+    return np.exp(x[..., 0]), apex, give, expit(x[..., -2]), LEAST + np.exp(x[..., -1])
 
 
 def _log_density(x: Array, r: Array, y: Array, first: Index, whisker: Whisker) -> Array:
-    """ln of the posterior density at x: ln scale, logit taper, (ln hinge), ln misfit, ln k.
+    """ln of the posterior density at x: ln scale, logit taper, (ln hinge), logit misfit, ln k.
 
     Slopes at one distance, relative to the model's, have the covariance k²I + misfit².
     """
@@ -357,41 +362,45 @@ def _log_density(x: Array, r: Array, y: Array, first: Index, whisker: Whisker) -
     return log - 0.5 * (((x[..., 1:] - prior[:, 0]) / prior[:, 1]) ** 2).sum(axis=-1)
 
 
-def _mode(r: Array, y: Array, whisker: Whisker, hinge: bool) -> tuple[Array, Array]:
-    """The mode, and the inverse of minus the curvature there."""
+def _mode(
+    r: Array, y: Array, whisker: Whisker, hinge: bool, start: Array | None = None
+) -> tuple[Array, Array]:
+    """The mode, from a start or from least squares, and the inverse of minus the curvature."""
     first = _first_taps(r, whisker)
 
     def cost(x: Any) -> float:
         return -float(_log_density(np.asarray(x), r, y, first, whisker))
 
-    best: Any = None
-    for give in (-4.0, -2.0) if hinge else (None,):
-        start = [np.log(np.median(y / _slope(r, 1.1 * whisker.length, 0.0))), 1.5]
-        start += [-4.5, -2.5] if give is None else [give, -4.5, -2.5]
-        found = minimize(
-            cost, np.array(start, dtype=float), method="Nelder-Mead",
-            options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 8000, "maxfev": 8000},
-        )  # fmt: skip
-        best = found if best is None or found.fun < best.fun else best
-    x = np.asarray(best.x)
+    def off(x: Array) -> Array:
+        """Of the curve alone; a hundredth of the belief keeps what the taps leave open."""
+        scale, apex, give = _natural(np.append(x, [0.0, 0.0]), whisker)[:3]
+        believed = (x[1:] - BELIEFS[: len(x) - 1, 0]) / BELIEFS[: len(x) - 1, 1]
+        return np.append(np.log(y / (scale * _slope(r, apex, give))), 0.01 * believed)
+
+    if start is None:
+        scale = np.log(np.median(y / _slope(r, 1.1 * whisker.length, 0.0)))
+        curve = least_squares(off, [scale, 1.5, *([-3.0] if hinge else [])])
+        spread = np.log(max(float(np.std(off(curve.x)[: len(y)])), LEAST))
+        start = np.array([*curve.x, spread, spread])
+    x = minimize(cost, start).x
     value, axes = np.linalg.eigh(curvature_at(cost, x, 1e-3))
     return x, (axes / np.maximum(value, 0.1)) @ axes.T
 
 
-def _left_out(r: Array, y: Array, whisker: Whisker, hinge: bool) -> pd.DataFrame:
+def _left_out(r: Array, y: Array, whisker: Whisker, mode: Array) -> pd.DataFrame:
     """Each distance located by the calibration of all others."""
     rows = []
     first = _first_taps(r, whisker)
     for begin, end in zip(first, [*first[1:], len(r)], strict=True):
         own = (np.arange(len(r)) >= begin) & (np.arange(len(r)) < end)
-        mode, _ = _mode(r[~own], y[~own], whisker, hinge)
-        scale, apex, give = (float(v) for v in _natural(mode, whisker)[:3])
+        found, _ = _mode(r[~own], y[~own], whisker, len(mode) > 4, mode)
+        scale, apex, give = (float(v) for v in _natural(found, whisker)[:3])
         # slope = scale/(1/(1/r − 1/A) + h), solved for r.
         inside = scale / y[own].mean() - give
-        found = 1 / (1 / inside + 1 / apex) if inside > 0 else 0.0
         place = r[own].mean()
-        rows.append({"radial_distance_mm": 1e3 * place, "located_mm": 1e3 * found,
-                     "error_share": (found - place) / whisker.length})  # fmt: skip
+        located = 1 / (1 / inside + 1 / apex) if inside > 0 else 0.0
+        rows.append({"radial_distance_mm": 1e3 * place, "located_mm": 1e3 * located,
+                     "error_share": (located - place) / whisker.length})  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -401,9 +410,10 @@ def _lack_of_fit(r: Array, ratio: Array, parameters: int, whisker: Whisker) -> f
     within = sum(((g - g.mean()) ** 2).sum() for g in groups)
     between = sum(len(g) * (g.mean() - 1) ** 2 for g in groups)
     free, rest = len(groups) - parameters, len(ratio) - len(groups)
-    if free < 1 or rest < 1 or not within > 0:
+    if free < 1 or rest < 1:
         return float("nan")
-    return float(f_distribution.sf(between / free / (within / rest), free, rest))
+    noise = max(within / rest, LEAST**2)
+    return float(f_distribution.sf(between / free / noise, free, rest))
 
 
 def averaged(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral
 from ..mechanics.contact import Outcome
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .files import as_number, load_table
+from .files import TRACKERS, as_number, load_table
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 #: Units as people write them, and signs for them.
@@ -35,7 +36,7 @@ _UNITS = {
     "angle": {"rad": 1.0, "deg": np.pi / 180},
     "moment_rate": {"nm/s": 1.0, "nmm/s": 1e-3},
     "angular_velocity": {"rad/s": 1.0, "deg/s": np.pi / 180},
-    "length": {"m": 1.0},
+    "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
 }
 #: What a table may hold, and of which kind each is.
 QUANTITIES = {
@@ -62,6 +63,11 @@ CORRELATION = "moment_transverse_corr"
 COMMON = "distance_common_sd_mm"
 #: And of the curvature at rest, at the base and its rate along the whisker.
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
+#: Of what a tracker wrote.
+_SHAPES_FIRST = (
+    "forces follow from the shape: write ww.tracked_signals("
+    "ww.read_tracking(file, pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
+)
 
 
 def unit_factor(text: str, kind: str) -> float | None:
@@ -72,9 +78,9 @@ def unit_factor(text: str, kind: str) -> float | None:
     for unit, factor in _UNITS[kind].items():
         if plain.lower() == unit:
             return factor
-        if kind not in ("angle", "angular_velocity") and plain[1:].lower() == unit:
-            scale = PREFIX.get(plain[0])
-            return None if scale is None else scale * factor
+        prefix = None if kind in ("angle", "angular_velocity") else PREFIX.get(plain[:1])
+        if prefix is not None and plain[1:].lower() == unit:
+            return prefix * factor
     return None
 
 
@@ -238,8 +244,8 @@ def one_side(si: dict[str, Array], touch: Any, notes: list[str]) -> Array:
     side = sides_of(si[lead], si.get(f"{lead}_sd"), touch)
     if np.any(side < 0):
         notes.append(
-            f"{int((side < 0).sum())} of {side.size} rows are pushed to the other side ({lead} "
-            "below zero): mirrored."
+            f"{int((side < 0).sum())} of {side.size} rows mirrored: pushed to the other side "
+            f"({lead} below zero)."
         )
     si |= {name: si[name] * side for name in turned if name in si}
     if "angular_velocity" in si:
@@ -273,11 +279,24 @@ def read_contacts(
         twice = raw.columns[raw.columns.duplicated()][0]
         raise ValueError(f"There are two columns {twice!r}; give each its own name.")
     found = find_columns(list(raw.columns), columns, units)
+    if not found:
+        _refuse_tracking(raw)
     si = {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}
     for quantity, column in (columns or {}).items():
         if column not in raw and column.startswith("-"):  # of the opposite sign
             si[quantity] = -si[quantity]
     return raw, si, found
+
+
+def _refuse_tracking(raw: pd.DataFrame) -> None:
+    """A table of tracked whiskers, whose signals are still to be made of their points."""
+    pointless = {"frame", "follicle_x", "tip_x"} <= {*raw} and "x" not in raw
+    if not pointless and not {"frame", "x", "y"} <= {*raw}:
+        return
+    held = "holds points of tracked whiskers"
+    if pointless:
+        held = "holds tracked whiskers, but points are what is missing: read Whisk's .whiskers, say"
+    raise ValueError(f"The table {held}; {_SHAPES_FIRST}")
 
 
 def _table(table: Any) -> pd.DataFrame:
@@ -286,6 +305,8 @@ def _table(table: Any) -> pd.DataFrame:
         if raw.columns.nlevels > 1:
             raise ValueError("The table's columns have several levels; give each column one name.")
     else:
+        if isinstance(table, str | Path) and Path(table).suffix.lower() in TRACKERS:
+            raise ValueError(f"{Path(table).name} is of a tracker: {_SHAPES_FIRST}")
         raw, _ = load_table(table, "contact")
         raw = raw.copy()
         for column in raw:  # text files give text in every cell
@@ -364,16 +385,11 @@ def signals_of(
         elif len(forces) > 1:
             cue = ForceMap(forces)
         else:
-            remedy = 'map them with columns={"moment": "M"}.'
-            if {"x", "y"} <= {*header}:
-                remedy = (
-                    "of a tracker's points write ww.tracked_signals(ww.read_tracking(file, "
-                    "pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
-                )
             raise ValueError(
                 f"No distance follows from the columns {checks.listed(header, 8)}, of which "
                 f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
-                "deflection_angle and one of them, or moment_rate and angular_velocity; " + remedy
+                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
+                'with columns={"moment": "M"}.'
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
         if known is None:

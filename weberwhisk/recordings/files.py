@@ -11,8 +11,10 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.values import Array
+from .._util.values import Array, counted
 
+#: Ends of files that trackers alone write.
+TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".slp")
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
 
@@ -225,19 +227,15 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
         doubtful = known & (points["likelihood"] < likelihood).to_numpy()
         known &= ~doubtful
         if doubtful.any():
-            notes.append(
-                f"{doubtful.sum()} of {len(points)} points are less likely than {likelihood:g}: "
-                "left out."
-            )
+            count = f"{doubtful.sum()} of {len(points)} points"
+            notes.append(f"{count} less likely than {likelihood:g}: left out.")
         # Distances are from the first keypoint: the next must not stand for it.
         seen = pd.Series(known).groupby([points[name].to_numpy() for name in keys])
         lost = known & ~seen.transform("first").eq(True).to_numpy()
         if lost.any():
             known &= ~lost
-            notes.append(
-                f"{len(points[lost].drop_duplicates(keys))} whiskers have no likely first keypoint:"
-                " left out."
-            )
+            count = counted(len(points[lost].drop_duplicates(keys)), "whisker")
+            notes.append(f"{count} without a likely first keypoint: left out.")
     if known.sum() < 2:
         raise ValueError(f"{path.name}: it has no points with numbers in frame, x and y.")
     points = points[known]
@@ -272,9 +270,9 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
     By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
     `trials`), Bpod's session (.mat: the numbers of each trial in its `SessionData`), and everything
     else as text, plain or compressed, separated by commas, tabs or semicolons, whichever its header
-    has most of; text gives text in every cell. Rows without any entry are left out and counted, so
-    the index is that of the file: the first row below the header is 1. `row` is what one row is,
-    for messages.
+    has most of; text gives text in every cell, decimal commas as points. Rows without any entry are
+    left out and counted, so the index is that of the file: the first row below the header is 1.
+    `row` is what one row is, for messages.
     """
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"
@@ -348,10 +346,27 @@ def _read(path: Path) -> pd.DataFrame:
     if path.suffix == ".mat":
         return _bpod_trials(path)
     separator, blank = _layout(path)
-    return pd.read_csv(
+    raw = pd.read_csv(
         path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False,
         skiprows=blank, encoding="utf-8-sig",
     )  # fmt: skip
+    return raw.apply(_with_points, always=separator == ";")
+
+
+def _with_points(cells: pd.Series, always: bool) -> pd.Series:
+    """With points for decimal commas, in a column that has no decimal points.
+
+    Between semicolons commas are decimal. Elsewhere a column all of whose commas stand before three
+    digits may have thousands, and stays as it is.
+    """
+    text = cells.dropna().astype(str).str.strip()
+    if not text.str.contains(",", regex=False).any():
+        return cells
+    comma = text[text.str.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?")]
+    thousands = comma.str.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}").all() and not always
+    if text.str.fullmatch(r"[+-]?\d*\.\d+([eE][+-]?\d+)?").any() or thousands:
+        return cells
+    return cells.where(~cells.index.isin(comma.index), comma.str.replace(",", "."))
 
 
 def _layout(path: Path) -> tuple[str, int]:

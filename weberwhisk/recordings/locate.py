@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
-from .._util.values import Array, Index, methods_text
+from .._util.values import Array, Index, counted, methods_text
 from ..cues import Cue, ForceMap
 from ..cues.force_map import is_curved
 from ..inference import Observer, Status, default_noise
@@ -309,7 +309,7 @@ def _touches_of(
     again = starts[starts.duplicated()].unique()
     if len(again):
         notes.append(
-            f"{len(again)} of {starts.nunique()} touches, such as {again[0]!r}, have rows in "
+            f"Rows of {len(again)} of {starts.nunique()} touches, such as {again[0]!r}, stand in "
             "several places of the table: one touch each. If numbers begin anew in each trial or "
             "whisker, number touches throughout."
         )
@@ -369,10 +369,11 @@ def methods_paragraph(located: pd.DataFrame) -> str:
     """What was done to the contacts of a table of `locate`, as a methods section says it."""
     status = located["status"].value_counts()
     counts = ", ".join(f"{n} {str(name).replace('_', ' ')}" for name, n in status.items())
-    said = [f"Radial distances were inferred of the {len(located)} rows of a table ({counts})."]
+    many = counted(len(located), "row")
+    said = [f"Radial distances were inferred of {many} of a table ({counts})."]
     if "touch_status" in located:
         touches = located[TOUCH_RESULTS[0]].nunique()
-        said.append(f"Rows of a touch share its distance; {touches} touches were located.")
+        said.append(f"Rows of a touch share its distance; {counted(touches, 'touch')} located.")
     # A note may end in what to write for another model.
     advice = re.compile(r"(; [^;:]*,|:) write [^;]*$")
     notes = (advice.sub(".", note) for note in located.attrs["notes"])
