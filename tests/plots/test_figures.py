@@ -277,3 +277,12 @@ def test_what_cannot_be_read_is_found() -> None:
         "has 6.0 pt", "is over 'second'", "beyond the edge' leaves the figure",
         "legend of '' is over a line",
     }  # fmt: skip
+
+
+def test_a_fit_is_drawn_with_the_columns_of_its_table() -> None:
+    own = {"stimulus_1": "reference", "stimulus_2": "weight_g", "choice": "heavier"}
+    table = ww.simulate_trials(trials_per_level=3, seed=1).table().rename(columns=own)
+    trials = ww.read_trials(table, columns=own).select(session=1)
+    ax = ww.plots.psychometric(ww.fit_weber(trials))
+    assert ax.get_xlabel() == "weight_g"
+    assert ax.get_ylabel() == "heavier: second reported greater"

@@ -183,6 +183,7 @@ def read_trials(
     further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
     notes = (*notes_of(frame, rows), *_pooled(further, {*frame}))
     frame = pd.concat([frame, further], axis=1)
+    frame.attrs["columns"] = dict(mapped)  # what the user calls them, for figures
     return Trials(frame, chosen, scale, log_unit, name, notes, rows)
 
 

@@ -117,15 +117,25 @@ def _relative(fit: WeberFit) -> bool:
 
 def _stimulus_label(fit: WeberFit, unit: str) -> str:
     counted = f" ({drawable(unit)})" if unit else ""
+    first = _own_name(fit, ("stimulus_1", "standard"), "first")
+    second = _own_name(fit, ("stimulus_2", "comparison"), "Second stimulus")
     if _relative(fit):
-        return f"Second stimulus − first{counted or ' (units of the log column)'}"
-    return f"Second stimulus{counted}"
+        difference = _own_name(fit, ("log_ratio",), f"{second} − {first}")
+        return f"{difference}{counted or ' (units of the log column)'}"
+    return f"{second}{counted}"
 
 
 def _answer_label(fit: WeberFit) -> str:
-    return (
-        "Second reported greater" if fit.trials.task.response == "choice" else "Proportion correct"
-    )
+    choice = fit.trials.task.response == "choice"
+    words = "Second reported greater" if choice else "Proportion correct"
+    own = _own_name(fit, ("choice", "n_greater", "correct", "n_correct"), "")
+    return f"{own}: {words.lower()}" if own else words
+
+
+def _own_name(fit: WeberFit, columns: Sequence[str], otherwise: str) -> str:
+    """What the table that was read calls the first of these columns that it has."""
+    names = fit.trials.frame.attrs.get("columns", {})
+    return next((drawable(names[column]) for column in columns if column in names), otherwise)
 
 
 def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
