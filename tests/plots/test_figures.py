@@ -283,6 +283,6 @@ def test_a_fit_is_drawn_with_the_columns_of_its_table() -> None:
     own = {"stimulus_1": "reference", "stimulus_2": "weight_g", "choice": "heavier"}
     table = ww.simulate_trials(trials_per_level=3, seed=1).table().rename(columns=own)
     trials = ww.read_trials(table, columns=own).select(session=1)
-    ax = ww.plots.psychometric(ww.fit_weber(trials))
-    assert ax.get_xlabel() == "weight_g"
-    assert ax.get_ylabel() == "heavier: second reported greater"
+    figure = plots.figure_of(plots.psychometrics(ww.fit_weber(trials)))
+    assert figure.get_supxlabel() == "weight_g"
+    assert figure.get_supylabel() == "heavier: second reported greater"
