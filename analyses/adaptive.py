@@ -124,7 +124,10 @@ def scene(part: str, method: str, seed: int) -> Any:
         levels = [lattice(h.encoding, standards, each_side=10).offsets for h in hypotheses]
         scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
     if method == "constant":
-        expected = Scheme.spaced(hypotheses[0].encoding, standards, weber_fraction=EXPECTED)
+        expected = Scheme.spaced(
+            hypotheses[0].encoding, standards, weber_fraction=EXPECTED,
+            levels=(-2.0, -1.2, -0.6, 0.6, 1.2, 2.0),
+        )  # fmt: skip
         return Constant(hypotheses, expected, seed)
     if method.startswith("1-up"):
         return Staircase(hypotheses[0], scheme, rule=method, seed=seed)

@@ -21,6 +21,7 @@ from weberwhisk._util.output import Run
 from weberwhisk.design import Power, Scheme, SubjectPopulation, taper
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
+LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)  # sds of the expected difference
 PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length
 #: One animal with k = 0.1 and lapses of 3 % a side.
 ANIMAL = SubjectPopulation(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
@@ -31,7 +32,7 @@ SEED = 20110166
 def grow(runs: int) -> Power:
     """Power against trials, whichever is true."""
     hypotheses = taper(WHISKER)
-    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS)
     return ww.power(scheme, hypotheses, trials=TRIALS, expected=ANIMAL, runs=runs, seed=SEED)
 
 

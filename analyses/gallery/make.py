@@ -35,6 +35,7 @@ from weberwhisk.design import Hypothesis, Scheme, taper
 from weberwhisk.inference import default_noise
 
 W = surveys.WHISKER
+LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)  # sds of the expected difference
 
 
 class Made(NamedTuple):
@@ -237,7 +238,7 @@ def _powers(asked: Asked) -> pd.DataFrame:
     for name, hypotheses in questions.items():
         # Of the two whiskers both reach the nearer pole, one the farther.
         at = np.array([0.3, 0.8]) * W.length
-        scheme = Scheme.spaced(hypotheses[0].encoding, at, weber_fraction=surveys.K)
+        scheme = Scheme.spaced(hypotheses[0].encoding, at, weber_fraction=surveys.K, levels=LEVELS)
         runs = 16 if asked.short else 256
         found = ww.power(scheme, hypotheses, trials=trials, runs=runs, seed=asked.seed)
         tables.append(found.table.assign(question=name, goal=found.goal.share))

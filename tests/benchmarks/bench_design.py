@@ -30,6 +30,7 @@ from weberwhisk.design.experiments import compare, simulate
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLACES = [15e-3, 30e-3, 45e-3]
+LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)  # sds of the expected difference
 ANIMALS = {
     "one animal as it is": SubjectPopulation(0.1, 0.0, 0.03, 0.0, lapses_vary=False),
     "animals that differ": SubjectPopulation(),
@@ -38,7 +39,7 @@ ANIMALS = {
 
 def engine(hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int) -> float:
     """Experiments a CPU second."""
-    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS, trials=28)
     start = time.process_time()
     counts, _ = simulate(hypotheses[0], scheme, animals, count, np.random.default_rng(1))
     compare(hypotheses, hypotheses[0].name, scheme, counts)
@@ -49,7 +50,7 @@ def together(
     hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int
 ) -> tuple[float, float]:
     """Experiments a second of `power` on two worker processes: in all, and once they have begun."""
-    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS, trials=28)
     done: list[tuple[float, float]] = []
     start = time.perf_counter()
     power(
@@ -63,7 +64,7 @@ def together(
 
 def loop(hypotheses: tuple[Hypothesis, ...], count: int) -> float:
     """The named alternative: `simulate_trials` and `fit_weber`, one experiment after another."""
-    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS, trials=28)
     start = time.process_time()
     for seed in range(count):
         trials = simulate_trials(
@@ -90,7 +91,7 @@ def main() -> None:
             "they have begun",
             flush=True,
         )
-    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS)
     start = time.perf_counter()
     found = smallest(scheme, hypotheses, workers=2)
     print(found.report())

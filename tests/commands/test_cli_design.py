@@ -97,7 +97,6 @@ def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: P
          "A goal is a Bayes factor or the width of an interval, got both"),
         (["--standard-mm", "35"], "is off the whisker, by 1.4 mm past its tip"),
         (["--trials", "0"], "--trials of a level must be a whole number of 1 or more, got 0"),
-        (["--easy-share", "0.8"], "fewer than --easy-share 0.8 asks for"),
         (["--step-mm", "3"], "are too coarse at standard"),
         (["--farthest-mm", "25"],
          "is farther than the animal's range of 0 mm to 25 mm, by"),

@@ -11,7 +11,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk import cli
 from weberwhisk.behaviour.effects import EFFECTS
-from weberwhisk.design.experiment import WIDE
+from weberwhisk.design import LEVELS
 
 HEAVY = (
     "arviz", "emcee", "IPython", "matplotlib", "matplotlib.pyplot", "pandas", "rich", "scipy",
@@ -65,4 +65,4 @@ def test_help_names_what_the_rooms_have(capsys: pytest.CaptureFixture[str]) -> N
     assert effects.replace(",", " ").split() == list(EFFECTS)
     cli.run_app(cli.app, ["design", "--help"])
     text = "".join(capsys.readouterr().out.split())
-    assert f"[default:{','.join(f'{z:g}' for z in WIDE)}]" in text
+    assert f"[default:{','.join(f'{z:g}' for z in LEVELS)}]" in text

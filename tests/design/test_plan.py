@@ -394,10 +394,6 @@ C2 = Whisker.from_identity("C2")  # 33.6 mm
         ),
         ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 2 mm are too coarse"),
         (
-            {"constraints": Constraints(easy_share=0.5), "trials": 5},
-            r"33\.3 % of the trials are easy .* 16\.7 % fewer than easy_share=0\.5",
-        ),
-        (
             {
                 "goal": Goal(half_width=0.2),
                 "cue": ForceMap(),

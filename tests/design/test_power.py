@@ -43,7 +43,9 @@ LENGTH, APEX = 50e-3, 50e-3 / (1 - 1 / 20)
 
 def design(places, trials):
     """The issue's own: ±0.6, 1.2, 2.0 sd of the tapered prediction."""
-    return Scheme.spaced(TAPERED.encoding, np.multiply(places, LENGTH), trials=trials)
+    levels = [-2.0, -1.2, -0.6, 0.6, 1.2, 2.0]
+    at = np.multiply(places, LENGTH)
+    return Scheme.spaced(TAPERED.encoding, at, levels=levels, trials=trials)
 
 
 # -- a referee that shares no code with the package ----------------------------------------------
@@ -350,7 +352,6 @@ FEW = {"goal": Goal(half_width=0.2), "runs": 2}
         (lambda w: SubjectPopulation(lapse=w), ()),
         (lambda w: Constraints(nearest=w), (3.5,)),
         (lambda w: Constraints(farthest=w), (3.5, np.inf)),
-        (lambda w: Constraints(easy_share=w), ()),
         (lambda w: Scheme([20e-3], w), ()),
         (lambda w: Scheme([20e-3], [2e-3], w), ()),
         (lambda w: Scheme.spaced(w, [20e-3]), ()),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["analyse", "design", "rehearse", "rig_trials"]
 
 #: Levels of `plan_experiment`, as numbers of the command line.
-_WIDE = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
+_LEVELS = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
 
 
 @opt.command
@@ -52,7 +52,7 @@ def design(
     ] = None,
     level: Annotated[
         opt.Texts,
-        f"Comparisons, in sds of what the animal can tell.  [default: {_WIDE}]",
+        f"Comparisons, in sds of what the animal can tell.  [default: {_LEVELS}]",
     ] = None,
     best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
     trials: Annotated[
@@ -70,7 +70,6 @@ def design(
     nearest_mm: Annotated[float, "Nearest distance that the animal can reach."] = 0.0,
     farthest_mm: Annotated[opt.Number, "Farthest distance that the animal can reach."] = None,
     step_mm: Annotated[float, "Step of the pole, 0 for none."] = 0.01,
-    easy_share: Annotated[float, "Least share of easy trials, which keep it working."] = 0.0,
     trials_per_session: Annotated[int, "At most."] = 300,
     apart: Annotated[bool, "Fit each animal by itself; several are fitted together."] = False,
     runs: Annotated[int, "Experiments simulated at each size, for the power."] = 512,
@@ -92,7 +91,7 @@ def design(
     whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
     standards = numbers("--standard-mm", standard_mm or [])
     checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
-    levels = numbers("--level", level or [_WIDE])
+    levels = numbers("--level", level or [_LEVELS])
     encoded: dict[str, Any] = {}
     if cue is not None or deflection_angle_deg:
         felt, angles = opt.the_cue(cue, deflection_angle_deg)
@@ -113,7 +112,7 @@ def design(
             animals=animals,
             find=find,
             expected=SubjectPopulation(weber_fraction, spread, lapse),
-            constraints=_constraints(nearest_mm, farthest_mm, step_mm, easy_share),
+            constraints=_constraints(nearest_mm, farthest_mm, step_mm),
             trials_per_session=trials_per_session,
             together=False if apart else None,
             title=title,
@@ -158,9 +157,7 @@ def _asked() -> str | None:
     return ways[answer][0]
 
 
-def _constraints(
-    nearest_mm: float, farthest_mm: float | None, step_mm: float, easy_share: float
-) -> Constraints:
+def _constraints(nearest_mm: float, farthest_mm: float | None, step_mm: float) -> Constraints:
     checks.non_negative("--nearest-mm", nearest_mm, "give millimetres, such as 5")
     checks.non_negative("--step-mm", step_mm, "give millimetres, such as 0.1, or 0")
     if farthest_mm is not None and not farthest_mm > nearest_mm:
@@ -169,7 +166,7 @@ def _constraints(
             "exchange them, say."
         )
     farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
-    return ww.design.Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
+    return ww.design.Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3)
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:

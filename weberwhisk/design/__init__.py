@@ -4,7 +4,7 @@ A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that 
 it runs, a placer chooses each trial from the answers to those before.
 """
 
-from .best import Best, best_scheme
+from .best import best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .placement import BayesianPlacer, Proposal, TrialLog, next_trial
@@ -15,9 +15,9 @@ from .scheme import LEVELS, Constraints, Scheme, lattice
 from .session import Session, trial_lists
 
 __all__ = [
-    "LEVELS", "AnalysisResult", "BayesianPlacer", "Best", "Constraints", "Goal", "Hypothesis",
-    "Plan", "Power", "Proposal", "Scheme", "Session", "SimulatedStudy", "Smallest",
-    "SubjectPopulation", "TrialLog", "analyse", "best_scheme", "cues", "lattice",
-    "next_trial", "noises", "plan_experiment", "plan_json", "power", "read_plan", "simulate_study",
-    "smallest", "taper", "trial_lists", "with_priors",
+    "LEVELS", "AnalysisResult", "BayesianPlacer", "Constraints", "Goal", "Hypothesis", "Plan",
+    "Power", "Proposal", "Scheme", "Session", "SimulatedStudy", "Smallest", "SubjectPopulation",
+    "TrialLog", "analyse", "best_scheme", "cues", "lattice", "next_trial", "noises",
+    "plan_experiment", "plan_json", "power", "read_plan", "simulate_study", "smallest", "taper",
+    "trial_lists", "with_priors",
 ]  # fmt: skip

@@ -32,12 +32,10 @@ from .hypotheses import Goal, Hypothesis, SubjectPopulation, noises, taper
 from .plan import Plan
 from .plan_file import plan_json
 from .power_analysis import power, smallest, wilson
-from .scheme import Constraints, Scheme, sized
+from .scheme import LEVELS, Constraints, Scheme, sized
 
 __all__ = ["SimulatedStudy", "plan_experiment", "simulate_study"]
 
-#: Comparisons of every standard, in sds: the widest are easy.
-WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
 NEITHER = "undecided"
 QUESTIONS = ("whiskers", "weber-law", "precision")
 
@@ -53,7 +51,7 @@ def plan_experiment(
     task: str | None = None,
     scheme: Scheme | None = None,
     standards: ArrayLike | None = None,
-    levels: ArrayLike = WIDE,
+    levels: ArrayLike = LEVELS,
     best: bool = False,
     trials: int | None = None,
     animals: int = 1,
@@ -95,8 +93,7 @@ def plan_experiment(
         m; 0.3, 0.6 and 0.9 of the whisker's length by default.
     levels : array_like
         Comparisons of every standard, in sds of the expected animal's difference (see
-        `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest tell of lapses, which else are
-        taken for a large k, and with them 162 trials do what 288 do at ±0.6, 1.2 and 2.
+        `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest tell of lapses.
     best : bool
         Choose standards and offsets by `best_scheme` instead. It is best for the expected animals,
         and wants the range that real ones reach among the constraints.
@@ -182,13 +179,8 @@ def plan_experiment(
     if best:
         if scheme is not None or standards is not None:
             raise ValueError("best=True chooses the standards; leave scheme and standards out.")
-        chosen = best_scheme(given, **own, expected=likely, animals=animals)
-        if trials is None and aim.half_width is not None:
-            # Few trials want others than as many as the goal needs: intervals go as 1/√n.
-            few = chosen.scheme.n_trials
-            needed = max(round(few * (chosen.value / aim.half_width) ** 2), few // 2)
-            chosen = best_scheme(given, **own, expected=likely, animals=animals, trials=needed)
-        scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
+        scheme = best_scheme(given, **own, expected=likely, animals=animals)
+        scheme = scheme if trials is None else scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
         at = _spread_out(encoding) if standards is None else standards

@@ -317,8 +317,7 @@ class Plan(Shown):
                 "together=False."
             )
         check_metres(self.hypotheses)
-        expected = self.animals.weber_fraction
-        self.constraints.check(self.scheme, first.encoding, expected, first.task, first.noise)
+        self.constraints.check(self.scheme, first.encoding)
         for hypothesis in self.hypotheses:
             hypothesis.model(self.scheme)  # refuses what this one cannot encode
 

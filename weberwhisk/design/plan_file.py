@@ -27,7 +27,7 @@ from ..mechanics.model_choice import Chosen
 from ..whisker import Whisker
 from .hypotheses import ONE_STIMULUS, Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
-from .scheme import Constraints, Scheme, easy_share
+from .scheme import Constraints, Scheme
 
 if TYPE_CHECKING:
     from cattrs import Converter
@@ -310,10 +310,8 @@ def _table(columns: Any) -> pd.DataFrame | None:
 def assumptions(plan: Plan) -> list[str]:
     """What the expected numbers hang on, a sentence each."""
     animals, first = plan.animals, plan.hypotheses[0]
-    k = animals.weber_fraction
-    easy = easy_share(plan.scheme, first.encoding, k, task=first.task, noise=first.noise)
     return [
-        f"Weber fraction of the animals: median {k:g}, ln k with an sd of "
+        f"Weber fraction of the animals: median {animals.weber_fraction:g}, ln k with an sd of "
         f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
         f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
         f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
@@ -321,7 +319,6 @@ def assumptions(plan: Plan) -> list[str]:
         *notes_of(plan.hypotheses),
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
         "stimuli are encoded alike.",
-        f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
     ]
 
 
