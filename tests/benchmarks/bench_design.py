@@ -93,7 +93,7 @@ def main() -> None:
         )
     scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, levels=LEVELS)
     start = time.perf_counter()
-    found = smallest(scheme, hypotheses, workers=2)
+    _, found = smallest(scheme, hypotheses, workers=2)
     print(found.report())
     print(f"a whole power analysis, two workers: {time.perf_counter() - start:.0f} s of wall time")
 

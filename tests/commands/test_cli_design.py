@@ -86,7 +86,7 @@ def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: P
         "rehearsal.svg", "rehearse.run.json",
     }  # fmt: skip
     table = pd.read_csv(out / "rehearsal.csv")
-    expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).table
+    expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).runs
     pd.testing.assert_frame_equal(table, expected)
 
 

@@ -28,7 +28,6 @@ from weberwhisk.behaviour.encodings import Encoding
 from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
-    LEVELS,
     Constraints,
     Goal,
     Hypothesis,
@@ -248,11 +247,11 @@ def plan() -> Plan:
     return plan_experiment(
         "C3",
         standards=[8e-3, 15e-3, 22e-3],
-        levels=LEVELS,
+        levels=[-2.0, -1.2, -0.6, 0.6, 1.2, 2.0],
         trials=6,
         animals=2,
         expected=SubjectPopulation(0.12, 0.2, 0.02, 0.1),
-        constraints=Constraints(5e-3, 27e-3, 1e-5, 0.2),
+        constraints=Constraints(5e-3, 27e-3, 1e-5),
         trials_per_session=60,
         longest_run=4,
         title="A plan, “tried”",

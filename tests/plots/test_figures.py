@@ -245,7 +245,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
         ),
         "psychometrics at one standard": plots.psychometrics(fit, standard=1.0),
         "psychometrics": plots.psychometrics(fit),
-        "rehearsed": plots.rehearsed(SimpleNamespace(plan=plan, table=studied)),  # type: ignore[arg-type]
+        "rehearsed": plots.rehearsed(SimpleNamespace(goal=plan.goal, runs=studied)),  # type: ignore[arg-type]
         "residuals": plots.residuals(pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3]})),
         "shrinkage": plots.shrinkage(population),
         "whisker_array": plots.whisker_array(whiskers),

@@ -232,15 +232,14 @@ def rehearse(
             out=stream,
             progress=(lambda done: None) if as_json else None,
         )
-        summary = found.summary().reset_index()
-        run.table("rehearsal", found.table)
-        run.table("rehearsal_summary", summary)
+        run.table("rehearsal", found.runs)
+        run.table("rehearsal_summary", found.table)
         if run.out_dir is not None:
             atomic_write(run.path("rehearsal.txt"), found.report())
             run.figure("rehearsal", ww.plots.rehearsed(found))
     if stream is not None:
         stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
-    answer = {"goal": str(plan.goal), "rows": summary.to_dict("records")}
+    answer = {"goal": str(plan.goal), "rows": found.table.to_dict("records")}
     opt.finish(run, as_json, answer, found.report().rstrip())
 
 

@@ -5,19 +5,18 @@ it runs, a placer chooses each trial from the answers to those before.
 """
 
 from .best import best_scheme
-from .experiment import SimulatedStudy, plan_experiment, simulate_study
+from .experiment import plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .placement import BayesianPlacer, Proposal, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
-from .power_analysis import Power, Smallest, power, smallest
+from .power_analysis import Power, power, smallest
 from .scheme import LEVELS, Constraints, Scheme, lattice
 from .session import Session, trial_lists
 
 __all__ = [
     "LEVELS", "AnalysisResult", "BayesianPlacer", "Constraints", "Goal", "Hypothesis", "Plan",
-    "Power", "Proposal", "Scheme", "Session", "SimulatedStudy", "Smallest", "SubjectPopulation",
-    "TrialLog", "analyse", "best_scheme", "cues", "lattice", "next_trial", "noises",
-    "plan_experiment", "plan_json", "power", "read_plan", "simulate_study", "smallest", "taper",
-    "trial_lists", "with_priors",
+    "Power", "Proposal", "Scheme", "Session", "SubjectPopulation", "TrialLog", "analyse",
+    "best_scheme", "cues", "lattice", "next_trial", "noises", "plan_experiment", "plan_json",
+    "power", "read_plan", "simulate_study", "smallest", "taper", "trial_lists", "with_priors",
 ]  # fmt: skip

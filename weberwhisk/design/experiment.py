@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import campaign, checks
-from .._util.values import Array, Shown, counted, interval_text
+from .._util.values import Array
 from ..behaviour.encodings import CueEncoding, Encoding
 from ..behaviour.simulate import simulate_responses
-from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
@@ -31,12 +29,11 @@ from .best import best_scheme
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, noises, taper
 from .plan import Plan
 from .plan_file import plan_json
-from .power_analysis import power, smallest, wilson
+from .power_analysis import Power, power, smallest, summary
 from .scheme import LEVELS, Constraints, Scheme, sized
 
-__all__ = ["SimulatedStudy", "plan_experiment", "simulate_study"]
+__all__ = ["plan_experiment", "simulate_study"]
 
-NEITHER = "undecided"
 QUESTIONS = ("whiskers", "weber-law", "precision")
 
 
@@ -200,12 +197,10 @@ def plan_experiment(
     }  # fmt: skip
     table: pd.DataFrame | None = None
     if wanted != "nothing":
-        found = smallest(scheme, given, vary=wanted, **options)
-        size = int(getattr(found.power.table.iloc[0], wanted))
-        # Even numbers of trials let every pair come in both orders equally often.
-        scheme = sized(scheme, wanted, size + (size % 2 if wanted == "trials" else 0))
-        ways = [found.path.table[found.path.table[wanted] != size], found.power.table]
-        table = pd.concat(ways, ignore_index=True).sort_values(["truth", wanted])
+        scheme, found = smallest(scheme, given, vary=wanted, **options)
+        most, table = max(map(max, scheme.trials)), found.table
+        if wanted == "trials":  # even numbers let every pair come in both orders equally often
+            scheme = sized(scheme, wanted, most + most % 2)
     elif runs:
         most = max(map(max, scheme.trials))
         sizes = sorted({max(most // 2, 1), most, 2 * most})
@@ -264,98 +259,6 @@ def _hypotheses(
     return [Hypothesis("expected observer", encoding, task=task)]
 
 
-@dataclass(frozen=True, repr=False)
-class SimulatedStudy(Shown):
-    """Outcomes of an experiment that was simulated.
-
-    Parameters
-    ----------
-    plan : Plan
-    table : DataFrame
-        One row an experiment:
-
-        - `truth`, the hypothesis that was simulated, and the number of the `run`;
-        - `conclusion`, the hypothesis favoured or "undecided" (empty where there is one alone), and
-          `log_bayes_factor`, natural, of the truth against the best other;
-        - `weber_fraction` and `half_width`, estimate and relative half-width of its 95 % interval,
-          of several animals fitted apart the medians; `covered`, the share of these intervals that
-          hold the true k; `determined`, the share of fits whose status is that;
-        - `right`: the share of conclusions that are right, which is 1 or 0 for a hypothesis
-          favoured, and `covered` where the goal is an interval; `reached`, how far the goal was:
-          the same for a hypothesis, for an interval the share of animals where it is narrow enough.
-    """
-
-    _figure: ClassVar[str] = "rehearsed"
-    plan: Plan
-    table: pd.DataFrame
-
-    def summary(self) -> pd.DataFrame:
-        """How often, by truth, with the Monte Carlo error.
-
-        Returns
-        -------
-        DataFrame
-            Index `truth`; `runs`; `reached`, the share in which the goal was, with its standard
-            error `error` and Wilson's 95 % interval `lower` to `upper`; shares of conclusions
-            `right`, `wrong` and `undecided`; `covered`; median `half_width`; `bias`, the median
-            estimate over the true median, less 1.
-        """
-        rows = {}
-        for truth, own in self.table.groupby("truth", sort=False):
-            reached, right, covered = own[["reached", "right", "covered"]].mean()
-            undecided = own["conclusion"] == NEITHER
-            wrong = (1 - own["right"] - undecided).mean()
-            error = own["reached"].std(ddof=0) / np.sqrt(len(own))
-            bias = own["weber_fraction"].median() / self.plan.animals.weber_fraction - 1
-            rows[truth] = (
-                len(own), reached, error, *wilson(float(reached), len(own)), right,
-                wrong, undecided.mean(), covered, own["half_width"].median(), bias,
-            )  # fmt: skip
-        columns = [
-            "runs", "reached", "error", "lower", "upper", "right", "wrong", "undecided", "covered",
-            "half_width", "bias",
-        ]  # fmt: skip
-        return pd.DataFrame(rows.values(), pd.Index(rows, name="truth"), columns)
-
-    def _line(self) -> str:
-        rows = self.summary()[["reached", "lower", "upper", "runs"]].iterrows()
-        return "goal reached by " + "; ".join(
-            f"{truth} {interval_text(*row.iloc[:3])} of {row['runs']:g} runs" for truth, row in rows
-        )
-
-    def report(self) -> str:
-        """What came out, in plain words."""
-        plan, seen = self.plan, self.summary()
-        lines = [
-            f"{plan.title}: {counted(plan.scheme.animals, 'animal')} × "
-            f"{plan.scheme.n_trials} trials, simulated {int(seen['runs'].iloc[0])} times under "
-            f"{'each hypothesis' if len(seen) > 1 else 'the hypothesis'} and analysed as planned.",
-            f"The goal is {plan.goal}.",
-        ]
-        for truth, row in seen.iterrows():
-            lines.append(
-                f"When the animals are {truth}: the goal is reached in {100 * row['reached']:.3g} "
-                f"± {100 * row['error']:.2g} % of {int(row['runs'])} runs (95 % interval "
-                f"{100 * row['lower']:.3g} to {100 * row['upper']:.3g} %), "
-                f"{_met(row, plan.goal.share)}; the conclusion is right in "
-                f"{100 * row['right']:.3g} %, wrong in {100 * row['wrong']:.3g} % and open in "
-                f"{100 * row['undecided']:.3g} %. The 95 % interval of k is ±"
-                f"{100 * row['half_width']:.2g} % in the median and covers the truth in "
-                f"{100 * row['covered']:.3g} %; the median estimate is {100 * row['bias']:+.2g} % "
-                "off."
-            )
-        return "\n".join(lines) + "\n"
-
-
-def _met(row: pd.Series, share: float) -> str:
-    wanted = f"the {100 * share:.3g} % asked for"
-    if row["lower"] > share:
-        return f"more than {wanted}"
-    if row["upper"] < share:
-        return f"less than {wanted}"
-    return f"not distinguishable from {wanted} by so many runs"
-
-
 def simulate_study(
     plan: Plan,
     runs: int = 100,
@@ -365,7 +268,7 @@ def simulate_study(
     scheduler: str | None = None,
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
-) -> SimulatedStudy:
+) -> Power:
     """Simulate a planned experiment, fit it as the real data will be fitted, and judge it.
 
     Parameters
@@ -381,7 +284,8 @@ def simulate_study(
 
     Returns
     -------
-    SimulatedStudy
+    Power
+        `runs` has also the number of each `run` of the study.
 
     Raises
     ------
@@ -395,7 +299,7 @@ def simulate_study(
     >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
     >>> scheme = Scheme.spaced(tapered.encoding, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
     >>> plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
-    >>> simulate_study(plan, 2, seed=1).table["truth"].tolist()
+    >>> simulate_study(plan, 2, seed=1).runs["truth"].tolist()
     ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
     checks.whole("runs", runs, "write 100")
@@ -410,11 +314,11 @@ def simulate_study(
         partial(one_experiment, plan=plan), chunks, seed=seed, workers=workers,
         scheduler=scheduler, out=out, title="Simulated study", progress=progress,
     )  # fmt: skip
-    return SimulatedStudy(plan, table)
+    return Power(plan.goal, summary(table, plan.goal), table)
 
 
 def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Plan) -> pd.DataFrame:
-    """One experiment, from animals to conclusion: a row of `SimulatedStudy.table`."""
+    """One experiment, from animals to conclusion: a row of `Power.runs`."""
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
@@ -426,25 +330,20 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Pl
     found = plan.analyse(answers)
     rows = found.of(truth.name)
     half_width = (rows["upper"] - rows["lower"]) / (2 * rows["weber_fraction"])
-    true_k: Any = plan.animals.weber_fraction
+    k: Any = pd.Series(plan.animals.weber_fraction, rows.index)
     if not plan.together:
-        true_k = rows["subject"].map(animals.set_index("subject")["weber_fraction"])
-    covered = (rows["lower"] <= true_k) & (true_k <= rows["upper"])
-    conclusion, right = "", float(covered.mean())
-    reached = float((half_width <= (plan.goal.half_width or 0.0)).mean())
-    if plan.goal.bayes_factor is not None:
-        conclusion = found.favoured(plan.goal.bayes_factor) or NEITHER
-        right = reached = float(conclusion == truth.name)
+        k = rows["subject"].map(animals.set_index("subject")["weber_fraction"])
     row = {
         "truth": truth.name,
         "run": chunk["run"],
-        "conclusion": conclusion,
+        "trials": max(map(max, plan.scheme.trials)),
+        "animals": plan.scheme.animals,
+        "weber_fraction": float(k.median()),
+        "estimate": float(rows["weber_fraction"].median()),
         "log_bayes_factor": found.log_bayes_factor(truth.name),
-        "weber_fraction": float(rows["weber_fraction"].median()),
         "half_width": float(half_width.median()),
-        "covered": float(covered.mean()),
-        "determined": float((rows["status"] == FitStatus.DETERMINED.name).mean()),
-        "right": right,
-        "reached": reached,
+        "covers": float(((rows["lower"] <= k) & (k <= rows["upper"])).mean()),
     }
+    if plan.goal.half_width is not None:
+        row["reached"] = float((half_width < plan.goal.half_width).mean())
     return pd.DataFrame([row])

@@ -37,6 +37,7 @@ from .hypotheses import (
     check_task,
     options_of,
 )
+from .power_analysis import share_in_words
 from .scheme import Constraints, Scheme, millimetres
 from .session import sessions_needed, trial_lists
 
@@ -452,8 +453,7 @@ class Plan(Shown):
         compared = len(self.hypotheses) > 1
         whose = "" if compared or self.together or animals == 1 else " of their animals"
         each = [
-            f"{100 * row['power']:.3g} % (95 % interval {100 * row['lower']:.3g} to "
-            f"{100 * row['upper']:.3g} %){whose}" + f" if {row['truth']} is true" * compared
+            f"{share_in_words(row)}{whose}" + f" if {row['truth']} is true" * compared
             for row in self.power.to_dict("records")
             if row["trials"] == trials and row["animals"] == animals
         ]

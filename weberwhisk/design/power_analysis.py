@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
-from scipy.special import log_ndtr, ndtri
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from .._util import campaign, checks, output
-from .._util.values import Array, Fields, Shown, interval_text
+from .._util.values import Shown, interval_text, paragraphs
 from .bounds import refuse_impossible
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Scheme, sized
 
-__all__ = ["Power", "Smallest", "power", "smallest", "wilson"]
+__all__ = ["Power", "power", "share_in_words", "smallest", "summary", "wilson"]
 
 BY = ["truth", "trials", "animals"]  # what experiments are counted by
 MOST = {"trials": 1000, "animals": 200}
@@ -38,7 +36,8 @@ class Power(Shown):
     quantiles, of `half_width` (of the 95 % interval of k, over its median) and of
     `log_bayes_factor` (natural log, for the truth against the best of the others); how well k is
     recovered: `bias`, the median of its estimate over the true one, less 1, and `coverage` of its
-    interval. `runs` has one row an experiment.
+    interval; where hypotheses are compared `wrong`, the share whose Bayes factor is as far on the
+    other side. `runs` has one row an experiment.
     """
 
     _figure: ClassVar[str] = "power_curve"
@@ -55,48 +54,28 @@ class Power(Shown):
         )
 
     def report(self) -> str:
-        """The table in words, a line a row."""
-        lines = [f"Goal: {self.goal}."]
-        for _, row in self.table.iterrows():
-            lines.append(
-                f"{row['truth']}, {row['animals']} × {row['trials']} trials a comparison: power "
-                f"{_share(row)}"
-            )
-            if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
-                lines.append(
-                    "  Caution: these 95 % intervals of k cover the truth in "
-                    f"{row['coverage']:.0%} of runs: the animals are not as the priors have them. "
-                    "Give other priors, with_priors(hypotheses, lapse_low=...), or wider levels."
+        """The table in words: a paragraph for each truth, a sentence for each size."""
+        parts = {"Goal": [f"{self.goal}."]}
+        for truth, own in self.table.groupby("truth", sort=False):
+            parts[f"If {truth} is true"] = said = []
+            for row in own.to_dict("records"):
+                wrong = (
+                    "" if "wrong" not in row else f", the opposite in {100 * row['wrong']:.3g} %"
                 )
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True, repr=False)
-class Smallest(Fields):
-    """The smallest design that reaches a goal.
-
-    `scheme` has that size. `size`, with its Monte Carlo standard error `size_error`, is where the
-    power of the truth that needs most crosses the goal's share, in trials of a comparison or in
-    animals; it is not whole. `power` is a Power of that scheme from runs that took no part in the
-    search, `path` one of all sizes that the search visited.
-    """
-
-    scheme: Scheme
-    vary: str
-    size: float
-    size_error: float
-    power: Power
-    path: Power = field(repr=False)
-
-    def report(self) -> str:
-        """The answer in words."""
-        row = _worst(self.power)
-        what = "trials of each comparison" if self.vary == "trials" else "animals"
-        return (
-            f"{self.power.goal}: {row[self.vary]} {what} ({self.size:.3g} ± {self.size_error:.2g}),"
-            f" {self.scheme.n_trials} trials an animal, {self.scheme.total_trials} in all; "
-            f"{_share(row, 'reach it ')} where {row['truth']} is true."
-        )
+                said += [
+                    f"{row['animals']} × {row['trials']} trials a comparison: the goal is reached "
+                    f"in {share_in_words(row)} of {row['runs']} runs, {_met(row, self.goal.share)}"
+                    f"{wrong}.",
+                    f"The 95 % interval of k is ±{100 * row['half_width']:.2g} % in the median and "
+                    f"covers the truth in {100 * row['coverage']:.3g} %; the median estimate is "
+                    f"{100 * row['bias']:+.2g} % off.",
+                ]
+                if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
+                    said.append(
+                        "Caution: the animals are not as the priors have them. Give other priors, "
+                        "with_priors(hypotheses, lapse_low=...), or wider levels."
+                    )
+        return paragraphs(parts)
 
 
 def power(
@@ -213,13 +192,13 @@ def smallest(
     runs: int = 512,
     seed: int = 1,
     **options: Any,
-) -> Smallest:
+) -> tuple[Scheme, Power]:
     """The fewest trials, or animals, that reach a goal, whichever hypothesis is true.
 
     A goal that the spread of the animals or the information of a trial puts out of reach is refused
     before anything is simulated. The size is doubled or halved until the goal lies between two,
-    then the bracket is halved until it is within 5 %. A probit regression of all runs visited on
-    the log of the size gives the size and its Monte Carlo error; fresh runs give the power there.
+    then the bracket is halved until it is within 5 %; its upper end is the size, and fresh runs
+    give its power.
 
     Parameters
     ----------
@@ -236,6 +215,13 @@ def smallest(
     **options
         As for `power`.
 
+    Returns
+    -------
+    scheme : Scheme
+        Of the size found.
+    power : Power
+        Of all sizes that the search visited; of the size found from the fresh runs alone.
+
     Raises
     ------
     ValueError
@@ -247,8 +233,8 @@ def smallest(
     >>> from weberwhisk.design import Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
     >>> scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3], trials=20)
-    >>> found = smallest(scheme, hypotheses, runs=64, truths=["tapered"], seed=1)
-    >>> 5 < found.size < 40
+    >>> found, _ = smallest(scheme, hypotheses, runs=64, truths=["tapered"], seed=1)
+    >>> 5 < found.trials[0][0] < 40
     True
     """
     checks.one_of("vary", vary, MOST)
@@ -296,11 +282,10 @@ def smallest(
         while high - low > max(1, 0.05 * high):
             middle = (low + high) // 2
             low, high = (low, middle) if reached(middle) else (middle, high)
-        path = _joined(list(visited.values()))
-        size, error = _crossing(path, vary, aim.share, low, high)
-        scheme = sized(scheme, vary, int(np.ceil(size)))
+        scheme = sized(scheme, vary, high)
         last = 2 * runs if scheme.animals == 1 else enough(scheme.animals)
-        return Smallest(scheme, vary, size, error, visit(scheme, last, 0), path)
+        visited[high] = visit(scheme, last, 0)
+        return scheme, _joined(list(visited.values()))
 
 
 def _clear(found: Power, sure: float = 0.99) -> bool:
@@ -323,58 +308,29 @@ def _joined(found: list[Power]) -> Power:
     return Power(found[0].goal, table, runs)
 
 
-def _crossing(path: Power, vary: str, share: float, low: int, high: int) -> tuple[float, float]:
-    """Where the power of the truth that needs most crosses the share, and the standard error."""
-    found = []
-    for _, own in path.table.groupby("truth"):
-        n, x = own["runs"].to_numpy(float), np.log(own[vary].to_numpy(float))
-        # Half a run either way: power that never or always reached it has a finite probit.
-        hits = own["power"].to_numpy(float) * n + 0.5
-        found.append(_probit(x - np.log(high), hits, n + 1.0, float(ndtri(share)), np.log(high)))
-    size, error = max(found)
-    return float(np.clip(size, max(low, 1), high)), error
+def share_in_words(row: Any) -> str:
+    """The power in a row of `Power.table` with its interval, in per cent."""
+    share, low, high = (100 * row[name] for name in ("power", "lower", "upper"))
+    return f"{share:.3g} % (95 % interval {low:.3g} to {high:.3g} %)"
 
 
-def _probit(x: Array, hits: Array, n: Array, wanted: float, shift: float) -> tuple[float, float]:
-    """exp(x + shift) where Φ(a + b x) has the score wanted, and its standard error."""
-
-    def loss(theta: Array) -> float:
-        score = theta[0] + theta[1] * x
-        return -float(hits @ log_ndtr(score) + (n - hits) @ log_ndtr(-score))
-
-    if x.size == 1:  # one size is all there is: a single trial, or animal
-        return float(np.exp(x[0] + shift)), 0.0
-    a, b = minimize(loss, [wanted, 1.0], method="BFGS").x
-    if b <= 0:  # power that does not rise within its noise
-        return float(np.exp(x.min() + shift)), float("inf")
-    score = a + b * x
-    weight = n * norm.pdf(score) ** 2 / np.exp(log_ndtr(score) + log_ndtr(-score))
-    information = np.array([[weight.sum(), weight @ x], [weight @ x, weight @ x**2]])
-    at = (wanted - a) / b
-    slope = np.array([-1.0, -at]) / b
-    size = float(np.exp(at + shift))
-    return size, size * float(np.sqrt(slope @ np.linalg.solve(information, slope)))
-
-
-def _share(row: pd.Series, verb: str = "") -> str:
-    """The power with its interval, in per cent."""
-    return "{:.3g} % {}({:.3g} to {:.3g})".format(
-        100 * row["power"], verb, 100 * row["lower"], 100 * row["upper"]
-    )
-
-
-def _worst(found: Power) -> pd.Series:
-    """The row of the truth that reaches the goal least often."""
-    return found.table.iloc[int(found.table["power"].to_numpy().argmin())]
+def _met(row: Any, share: float) -> str:
+    wanted = f"the {100 * share:.3g} % asked for"
+    if row["lower"] > share:
+        return f"more than {wanted}"
+    if row["upper"] < share:
+        return f"less than {wanted}"
+    return f"not distinguishable from {wanted} by so many runs"
 
 
 def _out_of_reach(found: Power, vary: str, most: int) -> str:
-    row = _worst(found)
+    row = found.table.sort_values("power").iloc[0]
     what = "trials a comparison" if vary == "trials" else "animals"
     return (
-        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is {_share(row)} "
-        f"where {row['truth']} is true, {100 * (found.goal.share - row['power']):.3g} % short; set "
-        "the standards farther apart, take more of them or of animals, or ask for less."
+        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is "
+        f"{share_in_words(row)} where {row['truth']} is true, "
+        f"{100 * (found.goal.share - row['power']):.3g} % short; set the standards farther apart, "
+        "take more of them or of animals, or ask for less."
     )
 
 
@@ -401,7 +357,10 @@ def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
             low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
             row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
         off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
-        rows.append(row | {"bias": off, "coverage": own["covers"].mean()})
+        row |= {"bias": off, "coverage": own["covers"].mean()}
+        if goal.bayes_factor is not None:
+            row["wrong"] = float((own["log_bayes_factor"] < -np.log(goal.bayes_factor)).mean())
+        rows.append(row)
     return pd.DataFrame(rows)
 
 

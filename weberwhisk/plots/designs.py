@@ -30,7 +30,6 @@ from .style import (
 
 if TYPE_CHECKING:
     from ..design import AnalysisResult, Plan, TrialLog
-    from ..design.experiment import SimulatedStudy
     from ..design.power_analysis import Power
 
 __all__ = [
@@ -165,7 +164,7 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
 
 
 @styled
-def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
+def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
     """What came out of every rehearsed experiment, truth by truth.
 
     With hypotheses to compare: the Bayes factor for the truth, cumulated over the runs, and the
@@ -179,11 +178,11 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
     'Share of experiments'
     """
     ax = axes_or_new(ax)
-    goal = result.plan.goal
+    goal = result.goal
     compared = goal.bayes_factor is not None
     column = "log_bayes_factor" if compared else "half_width"
     unit = np.log(10.0) if compared else 0.01
-    for i, (truth, own) in enumerate(result.table.groupby("truth", sort=False)):
+    for i, (truth, own) in enumerate(result.runs.groupby("truth", sort=False)):
         values = np.sort(own[column].to_numpy(float)) / unit
         below = np.arange(1, values.size + 1) / values.size
         ax.step(values, below, where="post", **look(i), label=drawable(truth))
