@@ -106,7 +106,7 @@ def own_choices(day: Day) -> None:
     printed = day.types("own choices", "weberwhisk", "fit", "own.csv", *mapped, *labels,
                         "--out", "own")  # fmt: skip
     assert "Weber fraction: " in printed
-    assert "9 trials have no answer" in printed
+    assert "and 9 without an answer" in printed
     assert {p.name for p in (day.folder / "own").iterdir()} > {"fit_report.txt", "psychometric.png"}
     with (day.folder / "own" / "fit.csv").open(encoding="utf-8") as file:
         k = next(row for row in csv.DictReader(file) if row["parameter"] == "weber_fraction")
