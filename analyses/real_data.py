@@ -17,6 +17,7 @@ from command import ANALYSES, markdown_table, options
 from weberwhisk import compare, fit_weber, plots
 from weberwhisk.behaviour import (
     Comparison,
+    StateFit,
     Trials,
     WeberFit,
     checks,
@@ -94,6 +95,46 @@ def by_standard(trials: Trials, shared: WeberFit) -> str:
     )
 
 
+def with_states(trials: Trials) -> pd.DataFrame:
+    """Blocks of the rat with one, two and three states, and the last session of each held out.
+
+    The log score of trials held out is the difference of two log evidences: of all trials, and of
+    those before. It is the sum over trials of the log-probability of the next answer.
+    """
+    rows = []
+    for start in range(0, len(trials.sessions), BLOCK):
+        block = trials.sessions[start : start + BLOCK]
+        whole, before = trials.select(session=block), trials.select(session=block[:-1])
+        held_out = whole.n_trials - before.n_trials
+        row: dict[str, object] = {"sessions": f"{block[0]}–{block[-1]}", "held out": held_out}
+        scores = {}
+        for states in (1, 2, 3):
+            fit, fewer = (fit_weber(t, bias="per standard", states=states) for t in (whole, before))
+            assert fit.log_evidence is not None
+            assert fewer.log_evidence is not None
+            scores[states] = fit.log_evidence - fewer.log_evidence
+            low, high = fit.interval()
+            row[f"k, {states}"] = f"{fit.weber_fraction:.2g} ({low:.2g} to {high:.2g})"
+            if isinstance(fit, StateFit):
+                row[f"engaged, {states}"] = f"{100 * fit.share_engaged()[0]:.0f} %"
+                row[f"gain, {states}"] = scores[states] - scores[1]
+            row[f"status, {states}"] = fit.status.name
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def of_states(table: pd.DataFrame) -> str:
+    """What the held-out sessions say of states, in a sentence."""
+    words = []
+    for states in (2, 3):
+        gain = table[f"gain, {states}"]
+        words.append(
+            f"{states} states predict the sessions held out better than one by {gain.sum():+.0f} "
+            f"nats in all, in {(gain > 0).sum()} of {len(gain)} blocks"
+        )
+    return f"{'; '.join(words)} ({table['held out'].sum()} trials held out)."
+
+
 def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
     whole = fit_weber(trials)
@@ -107,6 +148,7 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     )
     late = trials.select(session=trials.sessions[-10:])
     which = observers(late)
+    states = with_states(trials)
     columns = ["log_bayes_factor", "elpd_difference", "difference_se", "bad_k"]
     lines += [
         "## The rat: which of two sounds was louder?",
@@ -137,6 +179,12 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         f"{which.report()}",
         "",
         markdown(which.table[columns]),
+        "",
+        "Is the animal engaged all the time? Blocks with a bias per standard and 1, 2 or 3 states; "
+        "the last session of each is predicted from those before (gain of the log score over one "
+        f"state, nats). {of_states(states)}",
+        "",
+        markdown(states, index=False),
         "",
         "Checks of the last ten sessions under the best of these:",
         "",

@@ -13,7 +13,7 @@ from scipy.stats import beta, lognorm, norm
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
+from weberwhisk.behaviour import States, Trials, fit_population, fit_weber, task_named
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.priors import SPREAD
 from weberwhisk.design import (
@@ -386,3 +386,19 @@ def test_wrong_types_are_refused_in_a_sentence(call, taken):
             call(wrong)
         place = error.traceback[-1].path
         assert "weberwhisk" in str(place), (wrong, error.value)
+
+
+def test_animals_engaged_part_of_the_time_need_more_trials() -> None:
+    """Fitted one by one with states; engaged throughout they are those of the fast way."""
+    weber = [Hypothesis("Weber", IdentityEncoding(), bias="shared")]
+    scheme, goal = Scheme([1.0], [-0.3, -0.2, -0.1, 0.1, 0.2, 0.3], trials=40), Goal(half_width=0.3)
+    width = {
+        engaged: ww.power(
+            scheme, weber, goal=goal, runs=4, states=engaged and States(engaged=engaged)
+        ).table["half_width"].item()
+        for engaged in (None, 1.0, 0.5)
+    }  # fmt: skip
+    assert width[1.0] == pytest.approx(width[None], rel=0.4)
+    assert width[0.5] > width[1.0]
+    with pytest.raises(ValueError, match="write together=False"):
+        ww.power(scheme, weber, goal=goal, animals=[2], states=States())

@@ -21,11 +21,14 @@ from scipy.stats import beta as beta_distribution
 from .._util.threads import one_blas_thread
 from .._util.values import Array
 from ..behaviour.axes import score_prior
+from ..behaviour.fit import fit_weber
 from ..behaviour.hierarchy import log_product, normal_weights
 from ..behaviour.integrate.batch import log_sum, marginal
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import SPREAD, Priors
-from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from ..behaviour.states import States
+from ..behaviour.trials import STIMULI, Trials
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, options_of
 from .scheme import Scheme, sized
 
 __all__ = ["Fitted", "compare", "experiments", "fit", "simulate"]
@@ -65,6 +68,21 @@ def simulate(
 
     Every experiment draws its own animals.
     """
+    p, true = _drawn(hypothesis, scheme, animals, runs, rng, together=together)
+    n = scheme.cells().n.astype(np.int64)
+    return rng.binomial(n, p).astype(float), true
+
+
+def _drawn(
+    hypothesis: Hypothesis,
+    scheme: Scheme,
+    animals: SubjectPopulation,
+    runs: int,
+    rng: np.random.Generator,
+    *,
+    together: bool,
+) -> tuple[Array, Array]:
+    """Probability of the answer of animals drawn, (runs, animals, C), and their Weber fractions."""
     model = hypothesis.model(scheme)
     shape = runs, scheme.animals
     middle = np.full(runs, animals.weber_fraction)
@@ -77,9 +95,8 @@ def simulate(
     # One bias an animal, as in `simulate_population`.
     bias = hypothesis.usual_bias + animals.bias_spread * rng.standard_normal(shape)
     p, _ = model.probability(k, low, high, np.repeat(bias[..., None], model.n_groups, axis=-1))
-    counts = rng.binomial(model.cells.n.astype(np.int64), np.clip(p, 0.0, 1.0))
     true = k[:, 0] if scheme.animals == 1 else middle if together else k
-    return counts.astype(float), true
+    return np.clip(p, 0.0, 1.0), true
 
 
 @one_blas_thread
@@ -126,9 +143,49 @@ def compare(
     Infinite where there is no other.
     """
     fits = {h.name: fit(h, scheme, counts, together=together) for h in hypotheses}
-    others = [f.log_evidence for name, f in fits.items() if name != truth]
-    best = np.max(others, axis=0) if others else np.full(len(counts), -np.inf)
-    return fits[truth].log_evidence - best, fits[truth]
+    return _log_factor({name: f.log_evidence for name, f in fits.items()}, truth), fits[truth]
+
+
+def _log_factor(log_evidence: dict[str, Array], truth: str) -> Array:
+    others = [each for name, each in log_evidence.items() if name != truth]
+    best = np.max(others, axis=0) if others else -np.inf
+    return np.asarray(log_evidence[truth] - best)
+
+
+def _with_states(
+    hypotheses: Sequence[Hypothesis],
+    truth: Hypothesis,
+    scheme: Scheme,
+    animals: SubjectPopulation,
+    states: States,
+    runs: int,
+    rng: np.random.Generator,
+    *,
+    together: bool,
+) -> tuple[Array, Fitted, Array]:
+    """Experiments with animals that are engaged part of the time, each fitted with three states:
+    log Bayes factors, fits of the truth, and the true Weber fractions."""
+    p, k = _drawn(truth, scheme, animals, runs, rng, together=together)
+    cells = scheme.cells()
+    every = pd.DataFrame({name: getattr(cells, name) for name in STIMULI}).assign(n=1)
+    evidence = {h.name: np.zeros(runs) for h in hypotheses}
+    quantiles = np.empty((runs, scheme.animals, 3))
+    for run, animal in np.ndindex(runs, scheme.animals):
+        order = rng.permutation(np.repeat(np.arange(cells.n.size), cells.n.astype(int)))
+        frame = every.iloc[order].reset_index(drop=True)
+        state, second = states.drawn(frame, rng.random((2, order.size)))
+        chance = np.where(state > 0, second, p[run, animal, order])
+        frame = frame.assign(count=(rng.random(order.size) < chance).astype(float))
+        trials = Trials(frame, truth.asked, source="simulated answers")
+        for h in hypotheses:
+            found = fit_weber(trials, states=3, seed=rng, **options_of(h))
+            assert found.log_evidence is not None
+            evidence[h.name][run] += found.log_evidence
+            if h is truth:
+                levels = [0.025, 0.5, 0.975]
+                quantiles[run, animal] = found.posterior.quantile("weber_fraction", levels)
+    kept = quantiles[:, 0] if scheme.animals == 1 else quantiles
+    return _log_factor(evidence, truth.name), Fitted(evidence[truth.name], kept), k
 
 
 def experiments(
@@ -138,6 +195,7 @@ def experiments(
     hypotheses: Sequence[Hypothesis],
     animals: SubjectPopulation,
     apart: Goal | None,
+    states: States | None = None,
 ) -> pd.DataFrame:
     """The work of a power analysis: so many experiments of one size and truth, a row each.
 
@@ -148,8 +206,13 @@ def experiments(
     truth = next(h for h in hypotheses if h.name == chunk["truth"])
     scheme = sized(sized(scheme, "trials", chunk["trials"]), "animals", chunk["animals"])
     rng, together = np.random.default_rng(seed), apart is None
-    counts, k = simulate(truth, scheme, animals, chunk["runs"], rng, together=together)
-    log_factor, fitted = compare(hypotheses, truth.name, scheme, counts, together)
+    if states is not None:
+        log_factor, fitted, k = _with_states(
+            hypotheses, truth, scheme, animals, states, chunk["runs"], rng, together=together
+        )
+    else:
+        counts, k = simulate(truth, scheme, animals, chunk["runs"], rng, together=together)
+        log_factor, fitted = compare(hypotheses, truth.name, scheme, counts, together)
     low, middle, high = np.moveaxis(fitted.quantiles, -1, 0)
     width, covers = fitted.half_width, (low <= k) & (k <= high)
     narrow = {}

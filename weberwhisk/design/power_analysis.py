@@ -15,6 +15,7 @@ from scipy.special import ndtri
 
 from .._util import campaign, checks, output
 from .._util.values import Shown, interval_text, paragraphs
+from ..behaviour.states import States
 from .bounds import refuse_impossible
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
@@ -84,6 +85,7 @@ def power(
     *,
     goal: Goal | None = None,
     expected: SubjectPopulation | None = None,
+    states: States | None = None,
     trials: Sequence[int] | None = None,
     animals: Sequence[int] | None = None,
     truths: Sequence[str] | None = None,
@@ -112,6 +114,9 @@ def power(
         By default a Bayes factor above 10 in 80 % of experiments, or with one hypothesis ±20 %.
     expected : SubjectPopulation, optional
         What the animals are like: every experiment draws its own.
+    states : States, optional
+        Of animals that are engaged part of the time. Every one of them is simulated trial by trial
+        and fitted with `states=3`, which takes seconds; give few `runs`.
     trials, animals : sequence of int, optional
         Sizes: trials of the comparison shown most, others in proportion; and numbers of animals.
         By default those of the scheme.
@@ -173,8 +178,17 @@ def power(
     ]
     for h in given:  # refused here, in one sentence, not in a worker
         h.model(scheme)
+    if states is not None:
+        checks.kind("states", states, "States", "drawn", "write ww.behaviour.States(engaged=0.7)")
+        if together and max(sizes[1]) > 1:
+            raise ValueError(
+                f"animals with states are fitted one by one, got {max(sizes[1])} animals fitted "
+                "together; write together=False."
+            )
     apart = None if together else aim
-    work = partial(experiments, scheme=scheme, hypotheses=given, animals=likely, apart=apart)
+    work = partial(
+        experiments, scheme=scheme, hypotheses=given, animals=likely, apart=apart, states=states
+    )
     table = campaign.run(
         work, chunks, seed=seed, workers=workers, scheduler=scheduler, title=title,
         progress=progress,
