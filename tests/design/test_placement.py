@@ -196,7 +196,8 @@ def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
 
 def test_information_saves_trials():
     """k twice what was expected: a narrower interval than constant stimuli for the expected k."""
-    constant = Scheme.spaced(PLAIN.encoding, [1.0], weber_fraction=0.1)
+    levels = [-2.0, -1.2, -0.6, 0.6, 1.2, 2.0]
+    constant = Scheme.spaced(PLAIN.encoding, [1.0], levels=levels, weber_fraction=0.1)
     halves = {"information": [], "constant": []}
     for seed in range(16):
         placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=seed)

@@ -226,5 +226,5 @@ def test_emcee_takes_a_start_outside_the_support_and_this_does_not() -> None:
     start = np.random.default_rng(24).exponential(size=(3, 4, 8, 1))
     assert np.isfinite(sample_stacked(density, start, seed=1, max_steps=256).mean).all()
     start[1, 2, 3] = -5.0
-    with pytest.raises(ValueError, match=r"1 walker\(s\) of 1 posterior\(s\) .* posterior 1"):
+    with pytest.raises(ValueError, match=r"walkers \(1 of 1 posteriors\) .* posterior 1"):
         sample_stacked(density, start, seed=1)
