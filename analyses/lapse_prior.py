@@ -444,7 +444,7 @@ default also serves all other data, and there the same table reads:
 
 {elsewhere}
 
-- *Staircases* (`next_trial`, and every staircase of `weberwhisk.design`) begin with pairs that are
+- *Staircases* (`next_trial`) begin with pairs that are
   far too easy: the easiest pair tells where the experimenter began, and k comes out a fifth to
   three fifths too high. The levels of a staircase are made by the answers: a prior laid about the
   middle of them would count the answers twice.
