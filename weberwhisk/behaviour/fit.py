@@ -32,7 +32,7 @@ from .states import (
     with_states,
 )
 from .trials import Trials
-from .verdict import FitStatus
+from .verdict import FitStatus, verdict
 
 __all__ = ["StateFit", "WeberFit", "fit_weber"]
 
@@ -62,6 +62,11 @@ class WeberFit(Estimates):
     def _judged(self) -> tuple[FitStatus, tuple[str, ...]]:
         """When first asked for: the checks take as long as the fit."""
         return judged(self)
+
+    @property
+    def unchecked(self) -> FitStatus:
+        """The status without the checks, at once."""
+        return verdict(self.model, self.posterior)[0]
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""

@@ -20,7 +20,7 @@ from .._util import checks
 from .._util.output import csv_text, versions_in_words
 from .._util.values import Array, Shown, counted, interval_text, paragraphs
 from ..behaviour.fit import WeberFit
-from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
+from ..behaviour.population_fit import LEFT_OUT, PopulationFit, PopulationStatus, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
 from ..behaviour.verdict import FitStatus
@@ -158,6 +158,7 @@ def analyse(
     *,
     together: bool = False,
     unit: float = 1.0,
+    check: bool = True,
 ) -> AnalysisResult:
     """Fit every hypothesis to the trials, and weigh them.
 
@@ -173,6 +174,8 @@ def analyse(
     unit : float
         Unit of the stimuli in the encodings' own: 1e-3 where they were mapped by name and are in
         millimetres; `stimulus_1_mm` and so on are read in metres already.
+    check : bool
+        Whether fits are checked for what the model does not hold; simulated studies leave it out.
 
     Raises
     ------
@@ -194,10 +197,10 @@ def analyse(
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)
     given = check_distinct(hypotheses)
-    return (_pooled if together else _apart)(trials, given)
+    return (_pooled if together else _apart)(trials, given, check)
 
 
-def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
+def _apart(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
     rows: list[dict[str, Any]] = []
     every: list[WeberFit] = []
     evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
@@ -205,9 +208,12 @@ def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     for subject in trials.subjects or ["s1"]:
         own = trials.select(subject=subject) if trials.subjects else trials
         fits = [h.fit(own) for h in hypotheses]
-        rows += [_row(h, str(subject), fit) for h, fit in zip(hypotheses, fits, strict=True)]
+        rows += [
+            _row(h, str(subject), fit, fit.status if check else fit.unchecked)
+            for h, fit in zip(hypotheses, fits, strict=True)
+        ]
         every += fits
-        if any(fit.status in LEFT_OUT for fit in fits):
+        if any(fit.unchecked in LEFT_OUT for fit in fits):
             left_out.append(str(subject))
             continue
         for h, fit in zip(hypotheses, fits, strict=True):
@@ -216,13 +222,13 @@ def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out), trials, every)
 
 
-def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
+def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
     if len(trials.subjects) < 2:
         raise ValueError(
             f"{trials.source}: animals are fitted together where there are two or more, got "
             f"{len(trials.subjects)}; write together=False."
         )
-    fits = {h.name: fit_population(trials, **options_of(h)) for h in hypotheses}
+    fits = {h.name: fit_population(trials, check=check, **options_of(h)) for h in hypotheses}
     names = [status.name for status in LEFT_OUT]
     bad = {
         name: set(fit.subjects["subject"][fit.subjects["status"].isin(names)].astype(str))
@@ -232,20 +238,24 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     kept = [s for s in trials.subjects if str(s) not in left_out]
     for h in hypotheses:  # all of them weigh the same animals
         if len(bad[h.name]) < len(left_out) and kept:
-            fits[h.name] = fit_population(trials.select(subject=kept), **options_of(h))
-    rows = [_row(h, "population", fits[h.name]) for h in hypotheses]
+            some = trials.select(subject=kept)
+            fits[h.name] = fit_population(some, check=check, **options_of(h))
+    rows = [_row(h, "population", fits[h.name], fits[h.name].status) for h in hypotheses]
     evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
     return AnalysisResult(
         pd.DataFrame(rows), evidence, tuple(left_out), trials, list(fits.values())
     )
 
 
-def _row(hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit) -> dict[str, Any]:
+def _row(
+    hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit,
+    status: FitStatus | PopulationStatus,
+) -> dict[str, Any]:  # fmt: skip
     k: Sequence[float] = (np.nan, np.nan, np.nan)
     if not (isinstance(fit, PopulationFit) and fit.population is None):
         k = fit.weber_fraction, *fit.interval(0.95)
     names = "hypothesis", "subject", "weber_fraction", "lower", "upper", "status"
-    return dict(zip(names, (hypothesis.name, subject, *k, fit.status.name), strict=True))
+    return dict(zip(names, (hypothesis.name, subject, *k, status.name), strict=True))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -416,7 +426,7 @@ class Plan(Shown):
             parts.append(own.assign(status=fit.status.name))
         return pd.concat(parts, ignore_index=True)
 
-    def analyse(self, trials: Trials, *, unit: float = 1.0) -> AnalysisResult:
+    def analyse(self, trials: Trials, *, unit: float = 1.0, check: bool = True) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         check_answers(trials, self.hypotheses[0].task, self.scheme.animals)
         planned = np.median(self.scheme.cells().stimulus_2)
@@ -426,7 +436,7 @@ class Plan(Shown):
                 f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned; check "
                 "their unit: trial lists have mm, in columns called stimulus_1_mm and the like."
             )
-        found = analyse(trials, self.hypotheses, together=self.together, unit=unit)
+        found = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
         return replace(found, plan=self)
 
     def _line(self) -> str:
