@@ -21,6 +21,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.commands import with_options
+from weberwhisk.plots import engagement
 
 FOUR = [-0.3, -0.1, 0.1, 0.3]
 
@@ -44,7 +45,7 @@ def animal(trouble: str) -> Trials:
 
 def advised(fit: WeberFit) -> list[str]:
     """The fits that a report advises, as they stand there."""
-    return re.findall(r"fit_weber\((?:[^()]|\(\))*\)", fit.report())
+    return re.findall(r"fit_weber\((?:[^()]|\([^()]*\))*\)", fit.report())
 
 
 @pytest.mark.parametrize("trouble", ["MISFIT_STREAKS", "MISFIT_CURVE", "MISFIT_HISTORY"])
@@ -71,6 +72,22 @@ def test_options_of_a_fit_stay_in_what_is_advised() -> None:
     fit = fit_weber(animal("MISFIT_STREAKS"), bias="none", noise="equal-variance")
     assert 'fit_weber(trials, bias="none", noise="equal-variance", states=3)' in fit.report()
     assert '--bias "none" --noise "equal-variance" --states 3' in with_options(fit.report())
+
+
+def test_effects_with_arguments_are_advised_as_they_are_typed() -> None:
+    trials = animal("MISFIT_STREAKS")
+    trials = Trials(trials.frame.assign(laser=np.arange(len(trials.frame)) % 2), trials.task)
+    fit = fit_weber(trials, effects=[effects.Covariate("laser"), effects.Contraction()])
+    line = advised(fit)[0]
+    assert "effects=[Covariate('laser'), Contraction()], states=3" in line
+    again = eval(line, {**vars(effects), "fit_weber": fit_weber, "trials": trials})
+    assert again.effects == ("laser", "contraction")
+
+
+def test_only_a_fit_with_states_has_a_course_of_engagement() -> None:
+    fit = fit_weber(simulate_trials(trials_per_level=10, seed=1))
+    with pytest.raises(ValueError, match=r"fit must be one with states.*write states=3"):
+        engagement(fit)  # type: ignore[arg-type]
 
 
 def test_a_population_of_misfits_says_so() -> None:

@@ -37,6 +37,11 @@ class Effect:
     name: str
     prior: rv_frozen | float | None
 
+    @property
+    def typed(self) -> str:
+        """The effect as it is typed, with its default prior."""
+        return f"{type(self).__name__}()"
+
     def bound(self, encodings: UnitEncodings, n: Array) -> Effect:
         """The effect with its scale taken from the stimuli of the table, `n` trials of each."""
         return self
@@ -177,8 +182,27 @@ class Contraction(Effect, Fields):
         return signals._replace(mean_1=signals.mean_1 + value * (self.centre - signals.mean_1))
 
 
+class _TrialBefore(Effect):
+    """A shift, in sds of the difference, by what the trial before was."""
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        needs_order(trials, type(self).__name__)
+        needs_rows(trials, type(self).__name__)
+        frame = trials.frame
+        before = np.r_[0.0, np.nan_to_num(self.side(frame))[:-1]]
+        before[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
+        return before
+
+    def side(self, frame: pd.DataFrame) -> Array:
+        """The side, 1 for the second, to which each trial moves the next; NaN is none."""
+        raise NotImplementedError
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class History(Effect, Fields):
+class History(_TrialBefore, Fields):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
@@ -188,21 +212,12 @@ class History(Effect, Fields):
     prior: rv_frozen | float = _PRIORS["history"]
     name: str = "history"
 
-    def column(self, trials: Trials, encoding: Encoding) -> Array:
-        needs_order(trials, "History")
-        needs_rows(trials, "History")
-        frame = trials.frame
-        before = frame["count"].shift(1).to_numpy(float)
-        answer = np.where(np.isnan(before), 0.0, 2 * np.nan_to_num(before) - 1)
-        answer[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
-        return answer
-
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals._replace(shift=signals.shift + value * column)
+    def side(self, frame: pd.DataFrame) -> Array:
+        return 2 * frame["count"].to_numpy(float) - 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WinStay(Effect, Fields):
+class WinStay(_TrialBefore, Fields):
     """A shift towards the stimulus that was right on the trial before; sds of the difference.
 
     Win-stay, lose-shift: a right answer is repeated and a wrong one changed, so that the next
@@ -213,18 +228,9 @@ class WinStay(Effect, Fields):
     prior: rv_frozen | float = _PRIORS["history"]
     name: str = "win_stay"
 
-    def column(self, trials: Trials, encoding: Encoding) -> Array:
-        needs_order(trials, "WinStay")
-        needs_rows(trials, "WinStay")
-        frame = trials.frame
+    def side(self, frame: pd.DataFrame) -> Array:
         s1, s2, count = (frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
-        right = np.where(np.isnan(count), 0.0, np.sign(s2 - s1))
-        before = np.r_[0.0, right[:-1]]
-        before[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
-        return before
-
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals._replace(shift=signals.shift + value * column)
+        return np.where(np.isnan(count), np.nan, np.sign(s2 - s1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,6 +266,11 @@ class Covariate(Effect, Fields):
     @property
     def name(self) -> str:  # type: ignore[override]
         return self.of
+
+    @property
+    def typed(self) -> str:
+        on = f", on={self.on!r}" if self.on != "bias" else ""
+        return f"Covariate({self.of!r}{on})"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         checks.one_of("the column of a Covariate", self.of, map(str, trials.frame.columns))

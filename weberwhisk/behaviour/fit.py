@@ -60,13 +60,17 @@ class WeberFit(Estimates):
 
     @cached_property
     def _judged(self) -> tuple[FitStatus, tuple[str, ...]]:
-        """When first asked for: the checks take as long as the fit."""
-        return judged(self)
+        """Made when first used: the checks take some ten times as long as the fit."""
+        return judged(self, *self._verdict)
+
+    @cached_property
+    def _verdict(self) -> tuple[FitStatus, tuple[str, ...]]:
+        return verdict(self.model, self.posterior)
 
     @property
     def unchecked(self) -> FitStatus:
         """The status without the checks, at once."""
-        return verdict(self.model, self.posterior)[0]
+        return self._verdict[0]
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""

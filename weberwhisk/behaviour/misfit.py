@@ -13,7 +13,7 @@ import pandas as pd
 
 from .criticism import checks
 from .estimates import Estimates
-from .verdict import FitStatus, too_few_kinds, verdict
+from .verdict import FitStatus, too_few_kinds
 
 __all__ = ["FALSE_ALARMS", "advice", "judged"]
 
@@ -31,9 +31,10 @@ SEEN_BY = {
 }
 
 
-def judged(fit: Estimates) -> tuple[FitStatus, tuple[str, ...]]:
-    """The status of a fit, and sentences beside it."""
-    status, notes = verdict(fit.model, fit.posterior)
+def judged(
+    fit: Estimates, status: FitStatus, notes: tuple[str, ...]
+) -> tuple[FitStatus, tuple[str, ...]]:
+    """The status of a fit once it is checked, and sentences beside it; from those before."""
     notes = (*fit.trials.notes, *notes)
     if status in (
         FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
@@ -122,10 +123,12 @@ def advice(fit: Estimates) -> str | None:
 
 def _with(fit: Estimates, *more: str, **changed: Any) -> str:
     """The same fit with more effects or another option, as one would write it."""
-    names = [type(effect).__name__ for effect in fit.model.effects] + list(more)
+    own = fit.model.effects
+    names = dict.fromkeys([*(type(effect).__name__ for effect in own), *more])
+    made = [*(effect.typed for effect in own), *(f"{name}()" for name in more)]
     usual = {"bias": "shared" if fit.model.task.has_bias else "none", "noise": "weber", "states": 1}
     options = {"bias": fit.bias, "noise": fit.noise, "states": fit.model.n_states} | changed
-    said = [f"effects=[{', '.join(name + '()' for name in names)}]"] if names else []
+    said = [f"effects=[{', '.join(made)}]"] if made else []
     for name, value in options.items():
         if value != usual[name]:
             said.append(f'{name}="{value}"' if isinstance(value, str) else f"{name}={value}")

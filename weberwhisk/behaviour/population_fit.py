@@ -303,8 +303,8 @@ def fit_population(
     )
     misfits = own["status"].str.startswith("MISFIT")
     if misfits.any():
-        told = ", ".join(f"{row.subject} ({row.status})" for row in own[misfits].itertuples())
-        notes += (f"The model does not hold of {told}: see report() of their fits.",)
+        named = ", ".join(f"{row.subject} ({row.status})" for row in own[misfits].itertuples())
+        notes += (f"The model does not hold for {named}: see report() of their fits.",)
     shared = believed, prior, notes, seed, fits
     if left_out.all():
         return PopulationFit(PopulationStatus.NO_TRIALS, own, None, *shared)

@@ -45,7 +45,7 @@ class Proposal(Fields):
     easy : bool
         Put in to keep the animal working.
     information : float
-        Bits that the answer is expected to tell of what is asked for.
+        Bits of information that the answer is expected to give about the goal.
     """
 
     trial: int

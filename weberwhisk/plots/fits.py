@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from .._util import checks
 from .._util.values import Array, pd
 from .style import (
     COLOURS,
@@ -247,6 +248,7 @@ def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
     >>> engagement(fit).get_ylabel()
     'P(engaged)'
     """
+    checks.kind("fit", fit, "one with states", "engagement", "write states=3 in ww.fit_weber")
     ax = axes_or_new(ax, DOUBLE, 1.9)
     table, n = fit.engagement, len(fit.engagement)
     ax.plot(np.arange(1, n + 1), table["engaged"], **look(0, lw=0.8))
