@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -25,6 +24,7 @@ from .trials import (
     Trials,
     in_millimetres,
     notes_of,
+    notes_of_pooled,
     rounded_standards,
     rows_in_words,
     standards_of,
@@ -158,8 +158,8 @@ def read_trials(
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
     table = check.table
     metres = 1e3 if lengths else 1.0
-    numbers = {c: check.numbers(c) / metres for c in {**dict.fromkeys(stimuli), "standard": None}
-               if c in table}  # fmt: skip
+    shown_in = dict.fromkeys((*stimuli, "standard"))
+    numbers = {c: check.numbers(c) / metres for c in shown_in if c in table}
     known = {*SDS} <= {*table}  # located places, as `Trials.table` has them
     sds = {c: check.numbers(c, least=0.0) / metres for c in SDS if known}
     if scale == "linear":
@@ -181,34 +181,10 @@ def read_trials(
     rows = table.index.to_numpy()
     used = {*frame, *(mapped | lengths).values(), *stimuli, *ANSWERS, "count"}
     further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
-    notes = (*notes_of(frame, rows), *_pooled(further, {*frame}))
+    notes = (*notes_of(frame, rows), *notes_of_pooled(further, {*frame}))
     frame = pd.concat([frame, further], axis=1)
     frame.attrs["columns"] = dict(mapped)  # what the user calls them, for figures
     return Trials(frame, chosen, scale, log_unit, name, notes, rows)
-
-
-#: What columns of subjects and of sessions are often called.
-LOOKS_LIKE = {
-    "subject": ("subject", "subj", "animal", "rat", "mouse", "participant", "observer"),
-    "session": ("session", "sess", "day", "date", "block", "run"),
-}
-
-
-def _pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
-    """Sentences on columns that look like subjects or sessions, where there are none of that name:
-    their trials are taken as one."""
-    notes = []
-    for ours, names in LOOKS_LIKE.items():
-        for column in further if ours not in known else ():
-            words = re.split(r"[^a-z]+", str(column).lower())
-            values = further[column].nunique()
-            if set(words).intersection(names) and 1 < values <= len(further) / 2:
-                notes.append(
-                    f"The column {str(column)!r} has {values} values and is not used, so that all "
-                    f"trials are taken for one {ours}; columns={{{ours!r}: {str(column)!r}}} would "
-                    "keep them apart."
-                )
-    return notes
 
 
 def _choose_columns(

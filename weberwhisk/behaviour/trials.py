@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,8 @@ from .tasks import Task
 __all__ = [
     "LABELS", "SCALES", "SDS", "STIMULI", "Cells", "Trials", "after_gap", "check_trials",
     "in_millimetres", "in_order", "joined", "needs_order", "needs_rows", "notes_of",
-    "rounded_standards", "rows_in_words", "session_block", "sessions_of", "standards_of",
+    "notes_of_pooled", "rounded_standards", "rows_in_words", "session_block", "sessions_of",
+    "standards_of",
 ]  # fmt: skip
 
 SCALES = ("linear", "log")
@@ -234,6 +236,30 @@ class Trials(Line):
         """Write `table()`; the file is complete or absent, never half-written."""
         atomic_write(path, csv_text(self.table()))
         return Path(path)
+
+
+#: What columns of subjects and of sessions are often called.
+LOOKS_LIKE = {
+    "subject": ("subject", "subj", "animal", "rat", "mouse", "participant", "observer"),
+    "session": ("session", "sess", "day", "date", "block", "run"),
+}
+
+
+def notes_of_pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
+    """Sentences on columns that look like subjects or sessions, where there are none of that name:
+    their trials are taken as one."""
+    notes = []
+    for ours, names in LOOKS_LIKE.items():
+        for column in further if ours not in known else ():
+            words = re.split(r"[^a-z]+", str(column).lower())
+            values = further[column].nunique()
+            if set(words).intersection(names) and 1 < values <= len(further) / 2:
+                notes.append(
+                    f"The column {str(column)!r} has {values} values and is not used, so that all "
+                    f"trials are taken for one {ours}; columns={{{ours!r}: {str(column)!r}}} would "
+                    "keep them apart."
+                )
+    return notes
 
 
 def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:

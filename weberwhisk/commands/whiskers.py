@@ -212,8 +212,6 @@ def curve_in_steps(
 # -- measured contacts ----------------------------------------------------------------------------
 
 _VIDEO, _SENSOR = {"rich_help_panel": "Tracked video"}, {"rich_help_panel": "Sensor"}
-#: Files of trackers, by their ends.
-TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".nwb", ".slp")
 
 
 @opt.command
@@ -261,7 +259,9 @@ def locate(
             advance(done / total - shown[0])
             shown[0] = done / total
 
-        if pixels_per_mm is not None or contacts.suffix.lower() in TRACKERS:
+        from ..recordings.files import TRACKERS
+
+        if pixels_per_mm is not None or contacts.suffix.lower() in (*TRACKERS, ".nwb"):
             video = ww.read_tracking(
                 contacts, shortest_px=shortest_px, face=face, pixels_per_mm=pixels_per_mm,
                 frame_rate=frame_rate,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral
 from ..mechanics.contact import Outcome
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .files import TRACKERS, as_number, load_table
+from .files import as_number, load_table, refuse_tracked
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 #: Units as people write them, and signs for them.
@@ -63,11 +62,6 @@ CORRELATION = "moment_transverse_corr"
 COMMON = "distance_common_sd_mm"
 #: And of the curvature at rest, at the base and its rate along the whisker.
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
-#: Of what a tracker wrote.
-_SHAPES_FIRST = (
-    "forces follow from the shape: write ww.tracked_signals("
-    "ww.read_tracking(file, pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
-)
 
 
 def unit_factor(text: str, kind: str) -> float | None:
@@ -280,23 +274,12 @@ def read_contacts(
         raise ValueError(f"There are two columns {twice!r}; give each its own name.")
     found = find_columns(list(raw.columns), columns, units)
     if not found:
-        _refuse_tracking(raw)
+        refuse_tracked(raw)
     si = {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}
     for quantity, column in (columns or {}).items():
         if column not in raw and column.startswith("-"):  # of the opposite sign
             si[quantity] = -si[quantity]
     return raw, si, found
-
-
-def _refuse_tracking(raw: pd.DataFrame) -> None:
-    """A table of tracked whiskers, whose signals are still to be made of their points."""
-    pointless = {"frame", "follicle_x", "tip_x"} <= {*raw} and "x" not in raw
-    if not pointless and not {"frame", "x", "y"} <= {*raw}:
-        return
-    held = "holds points of tracked whiskers"
-    if pointless:
-        held = "holds tracked whiskers, but points are what is missing: read Whisk's .whiskers, say"
-    raise ValueError(f"The table {held}; {_SHAPES_FIRST}")
 
 
 def _table(table: Any) -> pd.DataFrame:
@@ -305,8 +288,7 @@ def _table(table: Any) -> pd.DataFrame:
         if raw.columns.nlevels > 1:
             raise ValueError("The table's columns have several levels; give each column one name.")
     else:
-        if isinstance(table, str | Path) and Path(table).suffix.lower() in TRACKERS:
-            raise ValueError(f"{Path(table).name} is of a tracker: {_SHAPES_FIRST}")
+        refuse_tracked(table)
         raw, _ = load_table(table, "contact")
         raw = raw.copy()
         for column in raw:  # text files give text in every cell

@@ -264,6 +264,25 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
 # -- tables of trials and of contacts -------------------------------------------------------------
 
 
+def refuse_tracked(source: Any) -> None:
+    """Refuse a tracker's file, or a table of whiskers: signals are still to be made of points."""
+    first = (
+        "forces follow from the shape: write ww.tracked_signals(ww.read_tracking(file, "
+        "pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
+    )
+    if isinstance(source, str | Path):
+        if Path(source).suffix.lower() in TRACKERS:
+            raise ValueError(f"{Path(source).name} is of a tracker: {first}")
+    elif isinstance(source, pd.DataFrame):
+        if {"frame", "follicle_x", "tip_x"} <= {*source} and "x" not in source:
+            raise ValueError(
+                "The table holds tracked whiskers, but points are what is missing: read Whisk's "
+                f".whiskers, say; {first}"
+            )
+        if {"frame", "x", "y"} <= {*source}:
+            raise ValueError(f"The table holds points of tracked whiskers; {first}")
+
+
 def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
     """The table as it stands, and its name for messages; its index counts rows from 1.
 
