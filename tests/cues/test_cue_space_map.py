@@ -187,6 +187,17 @@ def test_components_and_sizes_are_the_same_vectors_and_roll_turns_them():
             assert found[:, [0, 1, 2, 8, 9, 10]] == pytest.approx(plain, rel=1e-9)
 
 
+def test_a_curved_whiskers_force_turns_round_without_a_leap():
+    contact = np.tile([20.6e-3, 0.0, 1.44], (1000, 1))
+    contact[:, 1] = np.linspace(0.6, 0.82, len(contact))
+    found = SpaceMap().signals(CURVED, contact)[0]
+    size, direction = found[:, 2], found[:, 4]
+    assert np.ptp(direction) > 2.0
+    assert size.min() > 0
+    assert np.abs(np.diff(direction)).max() < 0.05
+    assert np.abs(np.diff(size)).max() < 0.01 * size.max()
+
+
 def brute(observer, reading, model, count, found):
     """Mean and sd of each unknown by midpoints in distance, deflection and azimuth themselves."""
     parts = [found.estimates[name] for name in observer.unknowns]

@@ -27,6 +27,7 @@ from weberwhisk.cues import (
     Fused,
     Vibration,
 )
+from weberwhisk.inference import tree
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -351,3 +352,27 @@ def test_layers_pass_the_audit(name):
     assert np.isfinite(off[:, 0]).sum() > 3
     assert np.nanmax(off) < PROMISED
     agrees_with_draws(observer, reading, 1, draws=200_000)
+
+
+def test_a_force_that_turns_round_beside_the_push_needs_no_fine_cells():
+    """As a signed size it leapt across the push: a million cells, and 40 s, for this reading."""
+    observer = layered_observer("curved space", 0.1)
+    tree._kept.clear()
+    p = ww.posterior(observer, observer.read([35.8e-3, 0.367, 0.83], seed=1))
+    assert p.status == Status.CONVERGED
+    assert abs(p.mean - 35.8e-3) < 4 * p.sd
+    assert sum(kept.evaluated for kept in tree._kept.values()) < 150_000
+
+
+def test_cells_that_are_not_kept_change_nothing(monkeypatch):
+    observer = layered_observer("stiffness", 0.2)
+    _, reading = readings_of(observer, 40, np.random.default_rng(1))
+    usual = ww.posterior(observer, reading)
+    monkeypatch.setattr(tree, "MEMORY", 3_000_000)
+    tree._kept.clear()
+    bound = ww.posterior(observer, reading)
+    assert np.all(np.abs(bound.mean - usual.mean) < 1e-3 * usual.sd)
+    off = bound.interval(0.95) - usual.interval(0.95)
+    assert np.all(np.abs(off) < 0.01 * usual.sd[:, None])
+    drawn = [p.to_arviz(draws=5).posterior["radial_distance"].values for p in (usual, bound)]
+    assert np.allclose(*drawn)

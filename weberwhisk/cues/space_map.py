@@ -68,14 +68,13 @@ class SpaceMap(Cue):
     Directions are read to whole turns, and a posterior goes on beyond an azimuth of π. A prior of
     your own has ends, unless it is uniform over a whole turn.
 
-    A vector that points away from the push, as the transverse force does beyond a contact angle of
-    90°, or sooner with friction, has a negative size, and the direction of its opposite. A curved
-    whisker's has an edge there, across the push, at which its size turns round: one reading in a
-    hundred knows of it (sds 3 % off that are claimed to 1 %). Components have none.
+    A straight whisker's force that points away from the push, as it does beyond a contact angle of
+    90°, or sooner with friction, has a negative size, and the direction of the push. A curved
+    whisker's turns round out of the plane: its sizes are positive, and its directions may be any.
 
     Components change sign, and so do the axial forces of a curved whisker that is pushed against
-    its curvature and of one that rubs towards its tip: their noise has a floor
-    (`inference.default_noise`).
+    its curvature and of one that rubs towards its tip, and a transverse force that turns round may
+    vanish: their noise has a floor (`inference.default_noise`).
 
     Examples
     --------
@@ -145,6 +144,7 @@ class SpaceMap(Cue):
             moment, axial, across = np.moveaxis(sizes, -1, 0)
             zero = np.zeros_like(moment)
             force, bending, twist = (across, zero), (moment, zero), zero
+            signed = True
         else:
             six, outcome = replace(forward, azimuth=turn).in_space(r, push)
             axial, y, z, twist, m_y, m_z = np.moveaxis(six, -1, 0)
@@ -152,9 +152,10 @@ class SpaceMap(Cue):
             c, s = np.cos(turn), np.sin(turn)
             force = c * y + s * z, c * z - s * y
             bending = c * m_z - s * m_y, -c * m_y - s * m_z
+            signed = False
 
         def turned(azimuth: Array) -> Encoded:
-            out = _named(self.signal_names, axial, force, twist, bending, azimuth)
+            out = _named(self.signal_names, axial, force, twist, bending, azimuth, signed)
             # A direction that is no number is none of a contact.
             off = (outcome == Outcome.HELD) & ~np.isfinite(azimuth)
             found = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome)
@@ -196,11 +197,12 @@ def _named(
     twist: Array,
     bending: tuple[Array, Array],
     azimuth: Array,
+    signed: bool,
 ) -> Array:
     """The signals named (..., S), from forces and moments (along the push, across it).
 
-    A vector that points away from the push has a negative size, so that directions are within a
-    right angle of the azimuth, and those of a straight whisker are the azimuth itself.
+    A vector that points away from the push has a negative size where sizes are signed, so that the
+    directions of a straight whisker are the azimuth itself.
     """
     c, s = np.cos(azimuth), np.sin(azimuth)
     out = []
@@ -213,13 +215,18 @@ def _named(
         elif name == "torsion_angle":
             value = np.arctan2(twist, np.hypot(*bending))
         elif name.endswith("_direction"):
-            sign = np.where(ahead < 0, -1.0, 1.0)
-            value = azimuth + np.arctan2(sign * aside, sign * ahead)
+            value = azimuth if signed else azimuth + _angle(ahead, aside)
         elif name in ("force_y", "moment_z"):
             value = c * ahead - s * aside
         elif name in ("force_z", "moment_y"):
             value = (s * ahead + c * aside) * (-1.0 if name == "moment_y" else 1.0)
         else:
-            value = np.copysign(np.hypot(ahead, aside), ahead)
+            value = ahead if signed else np.hypot(ahead, aside)
         out.append(np.broadcast_to(value, np.broadcast_shapes(azimuth.shape, ahead.shape)))
     return np.stack(out, axis=-1)
+
+
+def _angle(ahead: Array, aside: Array) -> Array:
+    """Angles (...) from the push, from −π/2 to 3π/2, so that none near 0 or π jumps by a turn."""
+    turned: Array = np.arctan2(-ahead, aside)  # from −π at −π/2
+    return np.asarray(turned + np.pi / 2)

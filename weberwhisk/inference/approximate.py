@@ -83,7 +83,7 @@ def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
     signals, outcome = observer.signals(contact)
     held = np.asarray(outcome == Outcome.HELD)
     signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
-    return lambda reading: observer.noise.log_likelihood(reading[:, None], signals) + log_prior
+    return lambda reading: observer.log_reading(reading[:, None], signals) + log_prior
 
 
 def climb(
@@ -132,7 +132,7 @@ def score(observer: Any, reading: Array, x: Array) -> tuple[Array, Array, Array]
     held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
     held &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
     signals = np.where(held[..., None], signals, 1.0)
-    value = observer.noise.log_likelihood(reading[:, None], signals) + log_prior
+    value = observer.log_reading(reading[:, None], signals) + log_prior
     value = np.where(held & np.isfinite(value), value, -np.inf)
     inside = np.asarray(np.isfinite(value).all(axis=1))
     steps = np.where(inside[:, None], value, 0.0)

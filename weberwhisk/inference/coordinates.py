@@ -352,6 +352,11 @@ def is_all_around(distribution: Any) -> bool:
     return flat and bool(np.ptp(distribution.support()) > 2 * np.pi - 1e-9)
 
 
+def within_half_turn(angle: Array) -> Array:
+    """Angles, rad, less as many whole turns as leave half a turn at most."""
+    return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
+
+
 def in_words(prior: Any) -> str:
     """A frozen distribution as one would write it."""
     given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]

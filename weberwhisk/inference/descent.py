@@ -98,7 +98,7 @@ class Descent:
             precision = rows.blurred_precision.start if blurred else rows.precision.start
             z = []
             for k in range(tree.size):
-                value = self.y[k][row] - data[rows.mean.start + k][cell]
+                value = tree.gaussian.off(self.y[k][row], data[rows.mean.start + k][cell], k)
                 value *= data[precision + k][cell]
                 z.append(value)
             out = out + tree.gaussian.log(z, blurred)
@@ -126,7 +126,7 @@ class Descent:
         z: list[Array] = []
         for i in range(size):
             line: list[Array] = []
-            value = self.y[i][row] - data[rows.mean.start + i][cell]
+            value = tree.gaussian.off(self.y[i][row], data[rows.mean.start + i][cell], i)
             for j in range(i + 1):
                 part = own[:, i, j] + correlation[i, j] * sd[i] * sd[j]
                 if i == j and blurred:

@@ -70,7 +70,7 @@ def default_noise(
 
 @lru_cache(maxsize=256)
 def _floors(whisker: Whisker, cue: Cue) -> Array:
-    """Floor of each signal that changes sign within the whisker's reach, (S,), 0 of the others."""
+    """Floor of each signal that changes sign in the reach, or vanishes, (S,), 0 of the others."""
     floors = np.zeros(len(cue.signal_names))
     space = ContactCoordinates(whisker, cue, cue.priors(whisker))
     fractions = np.r_[1e-3, np.arange(0.1, 0.95, 0.1), 1 - 1e-3]
@@ -83,6 +83,9 @@ def _floors(whisker: Whisker, cue: Cue) -> Array:
         size = np.median(np.abs(signals[: len(usual)][held[: len(usual)]]), axis=0)
         least, most = signals[held].min(axis=0), signals[held].max(axis=0)
         changes = (least < -1e-6 * size) & (most > 1e-6 * size)
+        if cue.forward(whisker, np.ones(len(cue.unknowns))).azimuth is not None:
+            # It turns round beside the push, and may vanish there.
+            changes |= np.char.startswith(cue.signal_names, "transverse_force")
         # To two digits, so that a refusal names the very floor that is the default.
         floors[changes] = [float(f"{FLOOR_SHARE * s:.2g}") for s in size[changes]]
     floors.flags.writeable = False  # kept

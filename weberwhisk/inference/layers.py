@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
+from .coordinates import within_half_turn
 from .nodes import HALVINGS, TURN, Axis, Conditional
 from .observer import Observer
 from .tree import DROP, Tree, tree_of
@@ -94,6 +95,11 @@ class LayeredSums:
         self.nodes: dict[tuple[int, ...], _Node] = {}
         self._quantiles: dict[tuple[tuple[int, ...], int], Array] = {}
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the cells at all nodes."""
+        return sum(sums.bytes for node in self.nodes.values() for _, sums in node.parts)
+
     def solve(self) -> None:
         """Halve nodes until sums over odd and even ones agree."""
         todo = np.arange(len(self.readings))
@@ -105,7 +111,7 @@ class LayeredSums:
             each = self._sum(keys, halvings, todo)
             self.halvings[todo] = halvings
             with np.errstate(invalid="ignore"):
-                bad = (each / COARSER > self.layers.tolerance) & (halvings < HALVINGS)[:, None]
+                bad = (each > self.layers.tolerance) & (halvings < HALVINGS)[:, None]
             again = bad.any(axis=0)
             before = halvings.copy(), todo
             halvings = halvings + bad.any(axis=1)
@@ -220,7 +226,7 @@ class LayeredSums:
             self._quantiles.pop((key, unknown), None)
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
-        """Sum over nodes; by how much odd and even ones along each axis differ, (D, n)."""
+        """Sum over nodes; about how far off the sums along each axis are, (D, n)."""
         inner = self.layers.inner
         log = self._table(keys, rows, "log").reshape(-1, len(rows))
         mean, sd = (
@@ -235,8 +241,8 @@ class LayeredSums:
         for axis, own in zip(self.axes, grid, strict=True):
             value = np.broadcast_to(axis.value(own)[:, None], log.shape)
             if axis.around:  # counted from the best, a half turn either way
-                from_best = value - value[best, np.arange(len(rows))]
-                value = value - 2 * np.pi * np.round(from_best / (2 * np.pi))
+                at_best = value[best, np.arange(len(rows))]
+                value = at_best + within_half_turn(value - at_best)
             values.append(value)
             middle.append(value[best, np.arange(len(rows))])
 
@@ -264,9 +270,10 @@ class LayeredSums:
                 off = np.maximum(np.abs(m - self.mean[rows]), np.abs(s - own_sd)) / own_sd
                 each[d] = np.maximum.reduce([each[d], np.abs(2 * t / total - 1), off.max(axis=1)])
         each = np.minimum(each, 1e100)
+        for d, axis in enumerate(self.axes):  # as cells' are, in `weighted.Sums.add`, on a circle
+            each[d] = each[d] ** 2 if axis.around else each[d] / COARSER
         inside = (weight * self._table(keys, rows, "error").reshape(weight.shape)).sum(axis=0)
-        worst = each.max(axis=0)
-        self.error[rows] = np.maximum(worst / COARSER, inside / total)
+        self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
         self.log_evidence[rows] = top + np.log(total) + steps
         for i, value in enumerate(middle):

@@ -10,7 +10,7 @@ import numpy as np
 from .._util.values import Array, Index
 from ..mechanics.contact import Outcome
 from .coordinates import from_normal, is_all_around
-from .observer import Evaluated, Observer, near_azimuth
+from .observer import Evaluated, Observer
 
 __all__ = ["HALVINGS", "TURN", "Axis", "Conditional"]
 
@@ -26,7 +26,7 @@ class Conditional:
         self.observer, self.further = observer, further
         inner = len(observer.unknowns) - len(further)
         self.unknowns, self.noise = observer.unknowns[:inner], observer.noise
-        self.is_smooth = observer.is_smooth
+        self.is_smooth, self.circular = observer.is_smooth, observer.circular
         self.space = observer.space
         if observer.bounded == 1 and observer.space.reach_varies:
             self.space = observer.space.reaching(_farthest(observer, further))
@@ -117,12 +117,9 @@ class Axis:
     def asked(self, readings: Array, covariance: Array | None, node: int) -> Any:
         """Readings and covariances to ask of the tree at this node, and ln of the Jacobian."""
         value = float(self.value(node))
-        turning = np.flatnonzero(self.observer.cue.circular)
-        if turning.size and self.around and self.observer.noise.reads_signals:
-            readings = near_azimuth(readings, turning, np.asarray(value))
         if self.known == "turned":
             readings = readings.copy()
-            readings[:, turning] -= value
+            readings[:, self.observer.circular] -= value
         if self.known == "scaled":
             size = readings.shape[1]
             covariance = None if covariance is None else covariance / value**2

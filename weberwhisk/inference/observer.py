@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, numbers, one_of, positive_number, shown
-from .._util.values import Array, Codes, Fields
+from .._util.values import Array, Codes, Fields, Index
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
@@ -20,10 +20,17 @@ from ..mechanics.forward import ForwardModel
 from ..mechanics.shape import Profile
 from ..receptors import ReceptorNoise, Seed
 from ..whisker import Whisker
-from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
+from .coordinates import (
+    ContactCoordinates,
+    family,
+    is_all_around,
+    priors_of,
+    to_normal,
+    within_half_turn,
+)
 from .floors import check_noise, default_noise
 
-__all__ = ["Evaluated", "Observer", "near_azimuth"]
+__all__ = ["Evaluated", "Observer"]
 
 #: Fractions of the ranges of distance and angle between which trees look for contacts.
 ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
@@ -353,21 +360,26 @@ class Observer(Fields):
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
         signals, outcome = self.signals(contact)
         held = outcome == Outcome.HELD
-        reading = self.unwrapped(reading, contact)
-        value = self.noise.log_likelihood(reading, np.where(held[..., None], signals, 1.0))
+        value = self.log_reading(reading, np.where(held[..., None], signals, 1.0))
         return np.where(held, value, -np.inf)
 
-    def unwrapped(self, reading: ArrayLike, contact: ArrayLike) -> Array:
-        """Readings (..., R), directions counted in whole turns to be near contacts' azimuths.
+    def log_reading(self, reading: ArrayLike, signals: Array) -> Array:
+        """ln p(reading | signals), (...), of readings (..., R) and signals (..., S)."""
+        return np.asarray(self.noise.log_likelihood(self.near(reading, signals), signals))
 
-        Where the azimuth has no ends, that is; elsewhere as they are.
-        """
-        reading, turning = np.asarray(reading, dtype=float), np.flatnonzero(self.cue.circular)
-        if not (turning.size and self.noise.reads_signals and is_all_around(self.prior["azimuth"])):
-            return reading
-        return near_azimuth(
-            reading, turning, np.asarray(contact)[..., self.unknowns.index("azimuth")]
-        )
+    @cached_property
+    def circular(self) -> Index:
+        """Which numbers of a reading are directions, known up to whole turns."""
+        return np.flatnonzero(self.cue.circular if self.noise.reads_signals else [])
+
+    def near(self, reading: ArrayLike, signals: Array) -> Array:
+        """Readings (..., R), directions in as many whole turns as brings them near the signals'."""
+        out, turning = np.asarray(reading, dtype=float), self.circular
+        if turning.size:
+            off = out[..., turning] - signals[..., turning]
+            out = np.broadcast_to(out, (*off.shape[:-1], out.shape[-1])).copy()
+            out[..., turning] = signals[..., turning] + within_half_turn(off)
+        return out
 
     def log_density(self, x: ArrayLike, reading: ArrayLike) -> Array:
         """ln of the posterior density in the coordinates x, up to the evidence, (...)."""
@@ -450,11 +462,7 @@ class Observer(Fields):
         return array
 
     def checked_reading(self, reading: ArrayLike, *, missing: bool = False) -> Array:
-        """`reading` as an array (..., S) of finite numbers, or with `missing` also of others.
-
-        Directions in space are counted in whole turns to be near the first, and that near the
-        middle of the azimuth's prior.
-        """
+        """`reading` as an array (..., S) of finite numbers, or with `missing` also of others."""
         hint = "give the base signals in SI units"
         array = numbers("reading", reading, hint) if missing else finite("reading", reading, hint)
         count = self.noise.reading_size(len(self.cue.signal_names))
@@ -468,21 +476,4 @@ class Observer(Fields):
                 f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
-        turned = np.flatnonzero(self.cue.circular)
-        if turned.size and self.noise.reads_signals:
-            off = array[..., turned] - self.prior["azimuth"].median()
-            # Noise may carry a direction beyond an end of the usual range, which goes all around.
-            room = 1.5 * np.pi if "azimuth" in self._filled.priors else np.pi
-            first = np.where(np.abs(off[..., :1]) > room, off[..., :1], 0.0)
-            array, full = array.copy(), 2 * np.pi
-            array[..., turned] -= full * np.round(first / full)
-            array[..., turned] -= full * np.round((off - off[..., :1]) / full)
         return array
-
-
-def near_azimuth(reading: Array, turning: Any, azimuth: Array) -> Array:
-    """Readings (..., R), the columns `turning` in whole turns to be near azimuths (...), rad."""
-    turns = np.round((reading[..., turning[0]] - azimuth) / (2 * np.pi))
-    out = np.broadcast_to(reading, (*turns.shape, reading.shape[-1])).copy()
-    out[..., turning] -= 2 * np.pi * turns[..., None]
-    return out

@@ -316,7 +316,7 @@ def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Est
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> Flags:
     """Readings with a number more than 5 sd from what their own most probable contact gives."""
     signals = observer.signals(contact)[0]
-    return is_outside(observer.noise, observer.unwrapped(reading, contact), signals)
+    return is_outside(observer.noise, observer.near(reading, signals), signals)
 
 
 def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:

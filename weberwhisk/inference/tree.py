@@ -22,6 +22,7 @@ import numpy as np
 
 from .._util.values import Array, Index
 from ..receptors import ReceptorNoise
+from .coordinates import within_half_turn
 from .descent import Descent
 from .observer import Evaluated
 from .weighted import Sums
@@ -34,8 +35,9 @@ ROOT_STEP = 0.5
 #: Cells whose density is so many nats below the highest are left out. At 15, 2 of 225 posteriors
 #: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
 DROP = 20.0
-#: Bytes of cells that are kept for all observers together.
-MEMORY = 1_000_000_000
+#: Bytes of cells that are kept for all observers together; half as much again for the readings of
+#: a posterior. Set it before posteriors are asked for.
+MEMORY = 400_000_000
 
 #: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
 PAIRS = 150_000
@@ -52,6 +54,8 @@ class TreeObserver(Protocol):
     def unknowns(self) -> tuple[str, ...]: ...
     @property
     def is_smooth(self) -> bool: ...
+    @property
+    def circular(self) -> Index: ...
     def evaluate(self, x: Array) -> Evaluated: ...
     def ends(self) -> tuple[Array, Array]: ...
 
@@ -62,7 +66,7 @@ class TreeObserver(Protocol):
 class GaussianTerm:
     """Signals whose readings are Gaussian, as they are or in their logarithms."""
 
-    def __init__(self, noise: ReceptorNoise, size: int) -> None:
+    def __init__(self, noise: ReceptorNoise, size: int, circular: Index) -> None:
         self.parts = [c for c in noise.components(size) if c.noise.gaussian_on]
         self.root = np.zeros((0, 0))
         for part in self.parts:  # independent of each other
@@ -70,6 +74,9 @@ class GaussianTerm:
             n, m = len(self.root), len(own)
             self.root = np.block([[self.root, np.zeros((n, m))], [np.zeros((m, n)), own]])
         self.size = len(self.root)
+        own = np.concatenate([np.arange(size)[part.signals] for part in self.parts])
+        #: Which of them are directions, known up to whole turns.
+        self.circular = np.flatnonzero(np.isin(own, circular))
         self.constant = np.log(np.diag(self.root)).sum() - 0.5 * self.size * np.log(2 * np.pi)
         inverse = np.linalg.inv(self.root)
         self.correlation = inverse @ inverse.T
@@ -85,6 +92,11 @@ class GaussianTerm:
         pairs = [part.noise.to_gaussian(readings[:, part.readings]) for part in self.parts]
         columns, log_slope = zip(*pairs, strict=True)
         return np.concatenate(columns, axis=1).T.copy(), np.asarray(sum(log_slope))
+
+    def off(self, reading: Array, mean: Array, k: int) -> Array:
+        """By how much readings of one signal are off its means, (P,)."""
+        value = reading - mean
+        return within_half_turn(value) if k in self.circular else value
 
     def log(self, z: list[Array], blurred: bool) -> Array:
         """−½ of the squared distance of readings, given (reading − mean)/sd of each signal."""
@@ -186,7 +198,7 @@ class Tree:
         self.refinements = 12 if self.unknowns == 1 else 3
         # More nats on the way, as cells are judged by their middles; cells of one unknown are few.
         self.slack = 100.0 if self.unknowns == 1 else 4.0
-        self.evaluated = 0
+        self.evaluated, self.height = 0, 0
         self._start: Level | None = None
 
     # -- evaluation --------------------------------------------------------------------------------
@@ -195,7 +207,9 @@ class Tree:
         noise = self.observer.noise
         components = noise.components(signals)
         self.gaussian = (
-            GaussianTerm(noise, signals) if any(c.noise.gaussian_on for c in components) else None
+            GaussianTerm(noise, signals, self.observer.circular)
+            if any(c.noise.gaussian_on for c in components)
+            else None
         )
         self.others = [OtherTerm(*c) for c in components if not c.noise.gaussian_on]
         self.size = self.gaussian.size if self.gaussian else 0
@@ -214,6 +228,13 @@ class Tree:
         place = [*(p for p, _ in parts), at.scores, at.log_prior[:, None]]
         scale = [*(s for _, s in parts), np.ones_like(at.scores)]
         return np.concatenate(place, axis=1), np.concatenate(scale, axis=1)
+
+    def _between(self, change: Array) -> Array:
+        """Changes of features (..., F), of directions the shorter way round."""
+        if self.gaussian and self.gaussian.circular.size:
+            turning = self.gaussian.circular
+            change[..., turning] = within_half_turn(change[..., turning])
+        return change
 
     def _columns(
         self, place: Array, at: Evaluated, scale: Array, change: Array, level: Level
@@ -294,7 +315,7 @@ class Tree:
             def off(corner: Sequence[int]) -> Array:
                 """How far features at a corner (0, 1 or 2 along each axis) are off the middle's."""
                 with np.errstate(invalid="ignore"):
-                    value = np.abs(grid[moved(corner)] - middle)
+                    value = np.abs(self._between(grid[moved(corner)] - middle))
                     value[..., -1] = np.maximum(grid[moved(corner)] - middle, 0.0)[..., -1]
                 return np.where((inside & held[moved(corner)])[..., None], value, 0.0)
 
@@ -341,7 +362,8 @@ class Tree:
             held = np.isfinite(at.log_prior).reshape(len(new), *shape)
             grid = np.where(np.isfinite(features), features, 0.0).reshape(len(new), *shape, -1)
             for d in np.flatnonzero(pattern):
-                rise = np.broadcast_to(np.abs(np.diff(grid, axis=1 + d)), grid.shape)
+                rise = np.abs(self._between(np.diff(grid, axis=1 + d)))
+                rise = np.broadcast_to(rise, grid.shape)
                 both = np.broadcast_to(held.all(axis=1 + d, keepdims=True), held.shape)
                 # Where one half is not held, the change is half of what it was across both; nor
                 # is it trusted to be far less than that.
@@ -361,8 +383,8 @@ class Tree:
 
     @property
     def bytes(self) -> int:
-        """Memory of the cells."""
-        return 0 if self._start is None else 8 * self.height * self.evaluated
+        """Memory of the cells: of the room for them, and of where the halves of each begin."""
+        return int(1.5 * (8 * self.height + 4) * self.evaluated) if self._start else 0
 
     # -- readings ----------------------------------------------------------------------------------
 

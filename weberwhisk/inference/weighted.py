@@ -164,6 +164,11 @@ class Sums:
         self._leaves.append(leaves)
         return each
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the cells."""
+        return sum(leaves.place.nbytes + leaves.log.nbytes for leaves in self._leaves)
+
     def leaves(self, among: Flags | None = None) -> Iterator[Leaves]:
         """Leaves, but for those that were summed again, of readings `among` (B,) if given."""
         for i, leaves in enumerate(self._leaves):
