@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise, product
 from typing import Any
 from warnings import warn
@@ -15,6 +16,7 @@ from .. import domain
 from .._util.checks import kind, one_of, positive_number
 from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
+from . import tree
 from .approximate import find_mode, laplace, sample
 from .coordinates import is_all_around
 from .layers import LayeredSums, Layers
@@ -34,8 +36,9 @@ from .weighted import Spans, Sums, extrapolated
 
 __all__ = ["Estimate", "Posterior", "Status", "pieces_of", "posterior", "sums_of"]
 
-#: Readings that are solved together, for progress and memory.
-TOGETHER = 2048
+#: Most readings that are solved together, for progress; the first time of unknowns that have priors
+#: alone, whose readings have up to 3 MB of cells each.
+TOGETHER, FEW = 2048, 32
 
 
 def posterior(
@@ -219,20 +222,8 @@ def quadrature(
             f'({", ".join(observer.unknowns)}); write method="emcee".'
         )
     wanted = tolerance or TOLERANCE
-    parts = []
-    for first in range(0, max(len(reading), 1), TOGETHER):
-        some = reading[first : first + TOGETHER]
-        parts.append(sums_of(observer, some, tolerance=wanted))
-        if progress:
-            progress(first + len(some), len(reading))
-    return _solution(observer, reading, parts, wanted)
-
-
-def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: float) -> Solution:
-    mean, sd, error, evidence, best = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("mean", "sd", "error", "log_evidence", "best")
-    )
+    sums = ManySums(observer, reading, wanted, progress)
+    mean, sd, error, evidence, best = sums.columns
     refuse_impossible(reading, np.nan_to_num(evidence, nan=-np.inf))
     status = np.where(error <= wanted, Status.CONVERGED, Status.IMPRECISE)
     if len(observer.unknowns) > 1:
@@ -249,10 +240,9 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
         mode, _ = find_mode(observer, reading[vague])
         outside[vague] = is_improbable(observer, reading[vague], observer.contact(mode)[0])
     status[outside] = Status.IMPROBABLE_READING
-    ends = np.cumsum([len(part.error) for part in parts])[:-1]
 
     def quantile_of(p: Array, unknown: int) -> Array:
-        return np.concatenate([part.quantiles(p, unknown) for part in parts])
+        return np.concatenate([part.quantiles(p, unknown) for _, part in sums.parts()])
 
     def quantile_error_of(p: Array, unknown: int) -> Array:
         # A share of the mass that moves the mean by its error may lie on the wrong side; and what
@@ -263,14 +253,48 @@ def _solution(observer: Observer, reading: Array, parts: Sequence[Any], wanted: 
 
     def draws_of(count: int, seed: Seed) -> Array:
         rng = np.random.default_rng(seed)
-        pairs = zip(parts, np.split(reading, ends), strict=True)
-        out = np.concatenate([part.draws(4 * count, rng, rows) for part, rows in pairs])
+        out = np.concatenate([part.draws(4 * count, rng, rows) for rows, part in sums.parts()])
         return out.reshape(len(reading), 4, count, -1)
 
     estimates = [Estimate(m, s, error * s, error * s) for m, s in zip(mean.T, sd.T, strict=True)]
     return Solution(
         estimates, status.astype(np.int8), evidence, quantile_of, draws_of, quantile_error_of
     )
+
+
+class ManySums:
+    """Posteriors of many readings (B, R), some at a time.
+
+    Their cells are kept while they fit in half of `tree.MEMORY`; those of later readings are summed
+    again where quantiles or draws are asked for. Columns are the mean (B, U), sd (B, U), error,
+    ln of the evidence (B,) and best contact (B, U).
+    """
+
+    def __init__(
+        self, observer: Observer, readings: Array, tolerance: float, progress: Any
+    ) -> None:
+        self._solve = partial(sums_of, observer, tolerance=tolerance)
+        self._parts: list[tuple[Array, Sums | LayeredSums | PiecewiseSums | None]] = []
+        columns: list[list[Array]] = []
+        done, room = 0, tree.MEMORY / 2
+        size = FEW if len(observer.unknowns) > observer.inner else TOGETHER
+        while done < len(readings) or not columns:
+            some = readings[done : done + size]
+            part = self._solve(some)
+            columns.append([part.mean, part.sd, part.error, part.log_evidence, part.best])
+            room -= part.bytes
+            self._parts.append((some, part if room > 0 else None))
+            done += len(some)
+            # So many that their cells take a quarter of the memory.
+            size = int(np.clip(tree.MEMORY / 4 / max(part.bytes / size, 1), FEW, TOGETHER))
+            if progress:
+                progress(done, len(readings))
+        self.columns = [np.concatenate(column) for column in zip(*columns, strict=True)]
+
+    def parts(self) -> Iterator[tuple[Array, Sums | LayeredSums | PiecewiseSums]]:
+        """Readings (n, R) and their sums, some at a time."""
+        for some, part in self._parts:
+            yield some, part or self._solve(some)
 
 
 # -- priors that leap ------------------------------------------------------------------------------
@@ -334,6 +358,11 @@ class PiecewiseSums:
         self.error = np.where(total > 0, (self.share * error).sum(axis=0), np.inf)
         best = np.nan_to_num(self.share, nan=0.0).argmax(axis=0)
         self.best = np.stack([p.best for p in parts])[best, np.arange(len(best))]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the cells."""
+        return sum(part.bytes for part in self.parts)
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time."""
