@@ -171,6 +171,8 @@ class CueEncoding(Fields):
     def floor_sd(self, stimulus: ArrayLike) -> Array:
         """Sd of the noise that does not go with the Weber fraction, carried to the encoding."""
         noise, k = self.observer.noise, self._fractions
+        if self._one_signal and not k.any():
+            return noise.as_gaussian(self._signals(stimulus)[0])[1][..., 0]
         if self._one_signal:
             return np.full(np.shape(stimulus), float(noise.floors(1)[0]))
         whole = self._jnd(stimulus, noise)
