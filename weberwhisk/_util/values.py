@@ -57,7 +57,7 @@ else:
 class Fields:
     """Base of dataclasses (``repr=False``) that print as the call that makes them, in short.
 
-    Fields at their defaults are left out but those of `_told`; numbers have six digits.
+    Fields at their defaults are left out but those of `_always_printed`; numbers have six digits.
 
     Examples
     --------
@@ -70,21 +70,21 @@ class Fields:
     (Place(0.3), Place([0, 1, 2, 3, 4, 5, …], 2))
     """
 
-    _told: ClassVar[tuple[str, ...]] = ()
+    _always_printed: ClassVar[tuple[str, ...]] = ()
     __slots__ = ()
 
     def __repr__(self) -> str:
-        text = _as_call(self, self._told)
+        text = _as_call(self, self._always_printed)
         return text if len(text) <= LONGEST else f"{text[: LONGEST - 2]}…)"
 
 
-def _as_call(made: Any, told: tuple[str, ...] = ()) -> str:
+def _as_call(made: Any, always: tuple[str, ...] = ()) -> str:
     """The call that makes a dataclass."""
     parts, in_order = [], True
     taken = signature(type(made)).parameters
     for f in fields(made):
         value, how = getattr(made, f.name), taken.get(f.name, f)
-        if not f.repr or (f.name not in told and _same(value, how.default)):
+        if not f.repr or (f.name not in always and _same(value, how.default)):
             in_order = False
             continue
         in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY

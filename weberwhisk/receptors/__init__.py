@@ -13,7 +13,7 @@ model               sd of a reading of a signal I              information about
 Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
 `SpikeCount`, whose readings are counts, one for each afferent, and `Events`, whose signals are
 probabilities. `Joint` gives each group of signals a model of its own. Constant noise, natural for
-angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors.protocol`.
+angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `ReceptorNoise`.
 """
 
 from .._util.values import Array

@@ -1,19 +1,4 @@
-"""What the rest of the package asks of a noise model, and how to write one.
-
-A law of Gaussian noise is a frozen dataclass of `Gaussian` with its sd, and nothing more::
-
-    @dataclass(frozen=True, eq=False, repr=False)
-    class SquareRoot(Gaussian):
-        size: float = 0.1
-        correlation: float = 0.0
-
-        def sd(self, signals):
-            return self.size * np.sqrt(np.abs(signals))
-
-Any other is one of `ReceptorNoise` with `mean`, `sd`, `jacobian`, `interval`, `log_likelihood`,
-`sample` and `fisher`. What else is asked has an answer here, to be overridden where the law has a
-better one. One line in `receptors/__init__.py` lists it.
-"""
+"""What the rest of the package asks of a noise model; `ReceptorNoise` says how to write one."""
 
 from __future__ import annotations
 
@@ -43,10 +28,23 @@ class Component(NamedTuple):
 class ReceptorNoise(Value):
     """A noise model: S kinds of signal along the last axis, R numbers in each reading.
 
-    Models are frozen: they compare and hash by value.
+    A law of Gaussian noise is a frozen dataclass of `Gaussian` with its sd, and nothing more::
+
+        @dataclass(frozen=True, eq=False, repr=False)
+        class SquareRoot(Gaussian):
+            size: float = 0.1
+            correlation: float = 0.0
+
+            def sd(self, signals):
+                return self.size * np.sqrt(np.abs(signals))
+
+    Any other derives from `ReceptorNoise` and has `mean`, `sd`, `jacobian`, `interval`,
+    `log_likelihood`, `sample` and `fisher`; the rest has defaults. Fields `weber_fraction` and
+    `floor` are read by name, as in sd² = (weber_fraction·f(signals))² + floor²: the parameters
+    of another formula have other names. Models are values: they compare and hash by their fields.
     """
 
-    _told: ClassVar[tuple[str, ...]] = ("weber_fraction",)
+    _always_printed: ClassVar[tuple[str, ...]] = ("weber_fraction",)
     #: Whether a reading is one of a few reports, of which the signals are the probabilities.
     is_categorical: ClassVar[bool] = False
     #: Whether a reading is of the signals themselves, so that a cue's own inverse can take it.
