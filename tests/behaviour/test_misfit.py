@@ -82,6 +82,9 @@ def test_effects_with_arguments_are_advised_as_they_are_typed() -> None:
     assert "effects=[Covariate('laser'), Contraction()], states=3" in line
     again = eval(line, {**vars(effects), "fit_weber": fit_weber, "trials": trials})
     assert again.effects == ("laser", "contraction")
+    assert "--effect covariate:laser --effect contraction --states 3" in with_options(fit.report())
+    said = with_options("fit_weber(trials, effects=[Covariate('a b', on='weber_fraction')])")
+    assert said == "--effect 'covariate:a b:weber_fraction'"
 
 
 def test_only_a_fit_with_states_has_a_course_of_engagement() -> None:

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
@@ -199,10 +200,11 @@ _REMEDIES = (
     (r"together=False", "--apart"),
     (r"log_unit= ", "--log-unit "),
     (r",? with from weberwhisk\.behaviour\.effects import \w+(, [A-Z]\w+)*", ""),
-    (r"fit_weber\(trials, ((?:[^()]|\(\))*)\)", lambda found: found[1].replace(", ", " ")),
+    (r"fit_weber\(trials, ((?:[^()]|\([^()]*\))*)\)", lambda found: found[1].replace(", ", " ")),
     (r"effects=\[([^]]*)\]", lambda found: " ".join(
-        f"--effect {re.sub('(?<=[a-z])(?=[A-Z])', '_', name).lower()}"
-        for name in re.findall(r"\w+", found[1])
+        "--effect " + quote(":".join([re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower(),
+                                      *re.findall(r"'(.*?)'", given)]))
+        for name, given in re.findall(r"(\w+)\((.*?)\)", found[1])
     )),
     (r"\b(bias|noise|states)=", r"--\1 "),
     (r"trials\.select\(session=(\w+)\)", r"--session \1"),

@@ -100,8 +100,7 @@ def simulate(
         design: dict[str, Any] = truth | {
             "standards": base, "offsets": levels, "encoding": encoding, "effects": effects,
             "trials_per_level": trials_per_level, "order": order, "sessions": sessions,
-            "missing": missing, "task": task,
-            "seed": seed,
+            "missing": missing, "task": task, "seed": seed,
         }  # fmt: skip
         if subjects == 1:
             trials, animals = ww.simulate_trials(**design), None

@@ -54,7 +54,7 @@ def fit(
     effect: Annotated[
         opt.Texts,
         "What else moves the answers: floor, contraction, history, win_stay, drift, "
-        "overdispersion; may be repeated.",
+        "overdispersion; covariate:COLUMN is another column's; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     states: Annotated[
