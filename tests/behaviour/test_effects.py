@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from weberwhisk.behaviour.effects import (
     History,
     Overdispersion,
 )
-from weberwhisk.behaviour.encodings import Signals
+from weberwhisk.behaviour.encodings import Encoding, Signals
 from weberwhisk.behaviour.likelihood import WeberModel
 
 Array = NDArray[np.float64]
@@ -301,23 +301,29 @@ def test_a_trial_that_is_not_in_the_table_leaves_no_history() -> None:
     assert not column[~after].any()
 
 
+TREND = stats.norm(0.0, 0.5)
+
+
 @dataclass(frozen=True, eq=False)
-class FirstIntervalNoise(Effect):
+class BiasTrend(Effect):
     """An effect as `docs/howto/own_effect.md` writes it."""
 
-    prior: Any = field(default_factory=lambda: stats.norm(0.0, 0.4))
-    name: str = "memory"
+    prior: Any = TREND
+    name: str = "bias_trend"
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        place = trials.frame.groupby("session")["trial"].rank(pct=True).to_numpy()
+        return np.ceil(4 * place - 1) / 3 - 0.5
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals._replace(sd_1=signals.sd_1 * np.exp(value))
+        return signals._replace(shift=signals.shift + value * column)
 
 
 def test_an_effect_of_ones_own_is_simulated_and_found() -> None:
-    effect = FirstIntervalNoise()
+    effect = BiasTrend()
     trials = simulate_trials(
-        offsets=[-0.4, -0.2, 0.2, 0.4], trials_per_level=3000, order="random", seed=3,
-        weber_fraction=0.2, effects=[(effect, 0.8)],
-    )  # fmt: skip
-    known = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+        weber_fraction=0.2, effects=[(effect, 0.8)], sessions=4, trials_per_level=200, seed=3
+    )
+    known = {"lapse_low": 0.0, "lapse_high": 0.0}
     low, high = fit_weber(trials, effects=[effect], priors=known).interval(0.99, effect.name)
-    assert low < 0.8 < high
+    assert 0 < low < 0.8 < high

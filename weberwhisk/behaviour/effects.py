@@ -1,9 +1,8 @@
 """What else may move an animal's answers: each effect one parameter, one short class.
 
-An effect takes the two noisy signals of the plain observer and changes them, as far as its
-parameter says; at 0 it changes nothing. Effects are applied in the order given.
-An effect that goes with more than the two stimuli (the session, the answer before) names a column,
-a number for each row of the table, and trials that differ in it are counted apart.
+An effect changes the two noisy signals of the plain observer; at 0 it changes nothing. Effects are
+applied in the order given. One that depends on more than the two stimuli (the session, the answer
+before) has a column, a number for each row of the table; trials that differ in it count apart.
 """
 
 from __future__ import annotations
@@ -47,9 +46,10 @@ class Effect:
         return self
 
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
-        """What the effect goes with, a number a row; None where the stimuli are all of it.
+        """What the effect depends on, a number a row; None where that is the stimuli alone.
 
-        Zero stands for a trial like any other, where a curve is drawn or a threshold is computed.
+        Curves and thresholds are those at 0. `simulate_trials` calls it before there are answers,
+        and knows the answer before for `History` alone.
         """
         return None
 
@@ -63,8 +63,7 @@ _PRIORS = {
     "drift": stats.norm(0.0, 0.5),
     "overdispersion": stats.beta(1.0, 15.0),
     "contraction": stats.norm(0.0, 0.3),
-    "history": stats.norm(0.0, 0.5),
-    "covariate": stats.norm(0.0, 0.5),
+    "shift": stats.norm(0.0, 0.5),
 }
 
 
@@ -209,7 +208,7 @@ class History(_TrialBefore, Fields):
     missing answer or after a trial that is not in the table, has none.
     """
 
-    prior: rv_frozen | float = _PRIORS["history"]
+    prior: rv_frozen | float = _PRIORS["shift"]
     name: str = "history"
 
     def side(self, frame: pd.DataFrame) -> Array:
@@ -225,7 +224,7 @@ class WinStay(_TrialBefore, Fields):
     have none, nor do trials after two equal stimuli.
     """
 
-    prior: rv_frozen | float = _PRIORS["history"]
+    prior: rv_frozen | float = _PRIORS["shift"]
     name: str = "win_stay"
 
     def side(self, frame: pd.DataFrame) -> Array:
@@ -237,9 +236,9 @@ class WinStay(_TrialBefore, Fields):
 class Covariate(Effect, Fields):
     """What another column of the table does: `Covariate("laser")`.
 
-    On the bias it is a shift in sds of the difference, on the Weber fraction a change of ln k. Of a
-    column with two values the first in order (0, False) has none and the second all of it; of more
-    numbers it is by their sd, about their mean. The parameter has the column's name.
+    On the bias it is a shift in sds of the difference, on the Weber fraction a change of ln k. A
+    column of two values counts as 0 for the first in order (0, False) and as 1 for the second; more
+    numbers are centred and divided by their sd. The parameter has the column's name.
 
     Parameters
     ----------
@@ -258,7 +257,7 @@ class Covariate(Effect, Fields):
 
     of: str
     on: str = "bias"
-    prior: rv_frozen | float = _PRIORS["covariate"]
+    prior: rv_frozen | float = _PRIORS["shift"]
 
     def __post_init__(self) -> None:
         checks.one_of("on", self.on, ("bias", "weber_fraction"))

@@ -181,8 +181,8 @@ def fit_weber(
     noise : {"weber", "equal-variance"}
         The sd of each interval's own stimulus, or the textbook form with that of the standard.
     effects : sequence of Effect
-        What else may move the answers, a parameter each: a floor, drift over sessions, history,
-        contraction, overdispersion; see `weberwhisk.behaviour.effects`.
+        What else may move the answers, a parameter each, such as drift over sessions or history:
+        see `weberwhisk.behaviour.effects`.
     states : {1, 2, 3}
         States of the animal, which last some trials each: engaged, and with 2 one in which its
         answers have nothing to do with the stimuli, with 3 two in which it answers nearly always
