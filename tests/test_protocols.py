@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import pickle
 from copy import copy
-from dataclasses import FrozenInstanceError, dataclass, replace
+from dataclasses import FrozenInstanceError, dataclass, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from weberwhisk.receptors import (
     GeneralisedWeber,
     Joint,
     LogNormal,
+    ReceptorNoise,
     Saturating,
     SpikeCount,
     Weber,
@@ -39,6 +40,12 @@ NOISES = [
     lambda: Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], [1, 1]),
     lambda: Joint([Joint([LogNormal(0.1), Weber(0.2)], [1, 1]), Weber([0.3])], [2, 1]),
 ]
+#: Every law that the package has, without the classes that laws derive from.
+LAWS = [
+    law
+    for law in (getattr(ww.receptors, name) for name in ww.receptors.__all__)
+    if isinstance(law, type) and issubclass(law, ReceptorNoise) and is_dataclass(law)
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +57,10 @@ class SquareRoot(Gaussian):
 
     def sd(self, signals):
         return self.size * np.sqrt(np.abs(signals))
+
+
+def test_every_law_is_among_these():
+    assert {type(make()) for make in NOISES} == set(LAWS)
 
 
 @pytest.mark.parametrize("make", NOISES)
@@ -241,7 +252,7 @@ NAMED = {GeneralisedWeber: {"floor": 0.1}, Saturating: {"ceiling": 1.0}}
 EVERY = [
     *GOOD,
     *(getattr(cues, n) for n in cues.__all__ if n not in ("Cue", "MuscleCurve")),
-    *(getattr(ww.receptors, n) for n in ("Weber", "LogNormal")),
+    *LAWS,
 ]
 
 
