@@ -114,7 +114,7 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
         residuals with the course of trials. `repetition`: correlation of a residual with the one
         before; `outcome`: with the side that was right on the trial before, as when wins stay and
         losses shift. `streaks`: the log Bayes factor of two or three states (each as likely) over
-        one, and as `p` one over the Bayes factor, which no observer in one state exceeds more often
+        one; its `p` is one over the Bayes factor, an upper bound for an observer in one state
         (Markov's inequality). `sessions` needs two sessions or more, those from `trend` on a row a
         trial, in order, and `outcome` and `streaks` the choice of a stimulus.
 

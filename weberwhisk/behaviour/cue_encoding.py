@@ -39,11 +39,11 @@ class CueEncoding(Fields):
     ----------
     observer : Observer
         Its whisker, cue and receptors. The Weber fraction that is fitted is that of the first
-        signal that has one, those of others keep their ratio to it (of one signal with log-normal
-        noise it is σ, the sd of the logarithm). Whatever noise does not go with a Weber fraction
-        is taken as known: a floor, that of an angle, what a prior leaves open of a further
-        unknown; exactly where the noise of as many signals as unknowns is uncorrelated. A signal
-        above a hard ceiling gives no encoding.
+        signal that has one; others keep their ratio to it. Of one signal with log-normal noise
+        it is σ, the sd of the logarithm. Noise that does not scale with a Weber fraction is taken
+        as known: a floor, that of an angle, the prior sd of a nuisance parameter. The division is
+        exact for as many signals as unknowns with uncorrelated noise. A signal above a hard
+        ceiling gives no encoding.
     deflection_angle : float, optional
         rad; of every contact, where the cue does not know it. Any further unknown has its prior's
         median.
@@ -253,8 +253,8 @@ class PooledEncoding(Fields):
     Raises
     ------
     ValueError
-        For no looks, looks in different units, another number of offsets, and looks that leave a
-        stiffness or the like unknown, which touches share and no number of them averages away.
+        For no looks, looks in different units, another number of offsets, and looks with an
+        unknown stiffness or the like, which all touches share, so that it does not average out.
 
     Notes
     -----

@@ -31,8 +31,8 @@ NOISES = ("weber", "equal-variance")
 class Encoding(Protocol):
     """How a stimulus is encoded: what every observer model asks of it.
 
-    With noise that stays where the signal vanishes it also has `floor_sd(stimulus)`, the part of
-    the sd that does not go with the Weber fraction.
+    One whose noise does not all scale with the Weber fraction also has `floor_sd(stimulus)`, the
+    sd of the rest.
     """
 
     @property

@@ -179,7 +179,7 @@ def fit_weber(
         "shared" by default; percent-correct tasks have none. Of yes/no, go/no-go and
         same–different tasks it is the criterion.
     noise : {"weber", "equal-variance"}
-        The sd of each interval's own stimulus, or the textbook form with that of the standard.
+        Each interval has the sd of its own stimulus, or both have that of the standard (textbook).
     effects : sequence of Effect
         What else may move the answers, a parameter each, such as drift over sessions or history:
         see `weberwhisk.behaviour.effects`.
@@ -194,8 +194,8 @@ def fit_weber(
         the levels were chosen to bracket the animal's thresholds. See `Priors`.
     method : {"quadrature", "importance", "emcee"}, optional
         By default quadrature up to six parameters, five with overdispersion (biases of standards
-        count as one, being integrated one by one), and importance sampling beyond and with states.
-        emcee shares nothing with either but the model.
+        count as one, as they are integrated one by one); importance sampling beyond and with
+        states. emcee is an independent check: it shares the model alone.
     distances : DataFrame or path, optional
         Where the touches of each trial were located (`ww.locate`), in place of nominal distances,
         or the contacts to locate by the observer's whisker; see `with_distances`. Of an observer

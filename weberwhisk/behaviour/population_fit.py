@@ -60,11 +60,11 @@ class PopulationStatus(Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PopulationFit(Shown):
-    """A population of animals, and each of them in its light.
+    """A population of animals, and each animal given the others.
 
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
-    given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
-    the latter. `fits` has each one's own fit.
+    from all the data, `alone`, `alone_lower` and `alone_upper` from its own data, and the `status`
+    of that fit. `fits` has each animal's own fit.
 
     Examples
     --------

@@ -51,9 +51,9 @@ class Priors(Fields):
     - `weber_fraction`: log-normal, median 0.1, a factor of 3 either way as one sd (no Weber
       fraction is known for whisker force or moment): 0.012 to 0.86 in 95 %, and 3 is still within
       reach of a few dozen trials of a poor animal. An experimenter who chose levels that bracket
-      the animal's thresholds may say so by name, `priors={"weber_fraction": "levels"}`, which lays
-      k about them and expects more lapses; see `levels_prior` for what that assumes, and when it
-      must not be used.
+      the animal's thresholds may say so by name, `priors={"weber_fraction": "levels"}`, which
+      centres the prior of k by them and expects more lapses; the page "Deal with
+      lapses" says what that assumes, and when it must not be used.
     - `lapse_low`, `lapse_high`: Beta(0.7, 20), the share of trials lost at each end: mean 3.4 %,
       half of it below 2 %, one in ten above 8 %; normal scores correlated by 0.7, as an animal that
       does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,

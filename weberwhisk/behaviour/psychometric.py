@@ -52,8 +52,8 @@ def response_probability(
         difference between the two signals, positive towards "second greater"; for tasks that have
         one it is the criterion (see the task).
     effects : sequence of (effect, value), optional
-        Effects bound to a table, and their parameters (...); in the middle of a session's course
-        and with no answer before.
+        Effects with the values of their parameters (...), at a column of 0: mid-course, with no
+        answer before. Those of a fit's model have their scale; `Contraction()` has a centre of 0.
     noise : {"weber", "equal-variance"}
 
     Returns
@@ -142,10 +142,10 @@ def threshold(
 ) -> Array:
     """The comparison at which an observer that never lapses answers with that proportion.
 
-    Solved by bisection to machine precision, whatever the encoding. Infinite (or the edge's own
-    side: −inf, or 0 for magnitudes) where no comparison reaches it: under Weber noise Φ never
-    passes Φ(1/k), so a poor observer has no 90 % point, nor has a same–different observer one below
-    its false alarms.
+    Solved by bisection to machine precision, whatever the encoding. Where no comparison reaches it
+    the threshold is infinite, or if downward the lowest stimulus (−inf, or 0 for magnitudes). Under
+    Weber noise Φ never passes Φ(1/k), so that a poor observer has no 90 % point; a same–different
+    observer has none below its false alarms.
 
     Parameters
     ----------

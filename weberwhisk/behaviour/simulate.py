@@ -70,8 +70,8 @@ def simulate_trials(
     weber_fraction : float, or array_like of shape (sessions,)
         Noise sd of each signal over its mean; one for each session where it is not the same.
     standards : array_like, shape (S,)
-        Magnitudes, logarithms (with a log encoding) or radial distances in metres; stimulus 1, but
-        where `order` has it otherwise.
+        Magnitudes, logarithms (with a log encoding) or radial distances in metres; stimulus 1,
+        unless `order` is "random".
     offsets : array_like, optional
         Comparisons relative to each standard: standard × (1 + offset), or standard + offset on a
         log scale. Nine signed levels to ±0.30 where neither these nor comparisons are given.

@@ -81,7 +81,7 @@ def plan_experiment(
     hypotheses : sequence of Hypothesis, optional
         As they will be fitted, the expected one first, in place of a question.
     cue, deflection_angle : Cue and float, optional
-        How distance is encoded, but for the question of whiskers; the light tap by default.
+        How distance is encoded, by default a light tap; the question "whiskers" has its own cue.
     task : str, optional
         Of hypotheses that are not given: "2AFC" by default, or "go/no-go", say, at a single pole.
     scheme : Scheme, optional
@@ -90,10 +90,10 @@ def plan_experiment(
         m; 0.3, 0.6 and 0.9 of the whisker's length by default.
     levels : array_like
         Comparisons of every standard, in sds of the expected animal's difference (see
-        `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest tell of lapses.
+        `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest inform of lapses.
     best : bool
-        Choose standards and offsets by `best_scheme` instead. It is best for the expected animals,
-        and wants the range that real ones reach among the constraints.
+        Choose standards and offsets by `best_scheme` instead. They are best for the expected
+        animals: give the distances that real ones reach as `constraints`.
     trials : int, optional
         Of every comparison, for each animal; by default as few as reach the goal, an even number.
     animals : int
@@ -279,8 +279,8 @@ def simulate_study(
     seed : int or SeedSequence
         Of animals and answers; the trial lists are the plan's own.
     workers, scheduler, out, progress
-        See `weberwhisk.campaign.run`: the answer is the same whoever does it, and with `out` a run
-        that was broken off goes on where it was.
+        See `weberwhisk.campaign.run`: none of them changes the result, and with `out` a run that
+        was interrupted is resumed.
 
     Returns
     -------

@@ -94,7 +94,7 @@ class Hypothesis(Fields):
 
     @property
     def usual_bias(self) -> float:
-        """None, but for a criterion, which is as the prior has it."""
+        """The prior's median of a criterion; a bias is 0."""
         if self.asked.bias_name != "criterion" or self.bias == "none":
             return 0.0
         return float(self.priors.value("bias", 0.0))
@@ -358,7 +358,7 @@ class Goal(Fields):
     Raises
     ------
     ValueError
-        Unless there is exactly one of both.
+        Unless exactly one of the two is given.
 
     Examples
     --------

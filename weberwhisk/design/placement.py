@@ -185,7 +185,7 @@ def _limit(name: str, value: int | None) -> int | None:
 
 
 class BayesianPlacer(TrialLog):
-    """Trials that are expected to tell most.
+    """Places each trial where its answer is expected to be most informative.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class BayesianPlacer(TrialLog):
     scheme : Scheme
         The trials that may be proposed, see `lattice`; how many of each is not read.
     goal : {"weber_fraction", "hypothesis", "everything"}
-        What the answers are to tell: k (averaged over the hypotheses), which hypothesis is right,
+        What the answers are to inform: k (averaged over the hypotheses), which hypothesis is right,
         or all parameters alike, lapses included (QUEST+, Watson 2017; to compare with).
     easy_share : float
         Share of trials that are as easy as the scheme has them, at random.
@@ -216,8 +216,8 @@ class BayesianPlacer(TrialLog):
     Notes
     -----
     Everything follows from the trials recorded, so replaying them resumes a session exactly.
-    Stopping when the interval is narrow enough leaves the posterior what it is: it does not hang
-    on why the trials ended.
+    Stopping when the interval is narrow enough leaves the posterior what it is: it does not
+    depend on why the trials ended.
 
     Examples
     --------
@@ -289,7 +289,7 @@ class BayesianPlacer(TrialLog):
         return super().finished
 
     def information(self) -> Array:
-        """Bits that the answer to each trial of the scheme is expected to tell, (C,)."""
+        """Expected information of the answer to each trial of the scheme, (C,), bits."""
         chance = np.array(list(self.probabilities.values()))
         beliefs = self.beliefs.values()
         given_k, of_each = zip(*(b.predicted() for b in beliefs), strict=True)
@@ -334,7 +334,7 @@ def next_trial(
     scheme: Scheme,
     **options: Any,
 ) -> Proposal:
-    """The next trial after a table of trials, for who keeps the table.
+    """The next trial after a table of trials, for programs that keep the table themselves.
 
     A `BayesianPlacer` that lives through the session does the same in 1 to 3 ms of CPU a trial, up
     to 15 where its grid is laid anew.

@@ -57,8 +57,8 @@ class AnalysisResult(Shown):
     log_evidence : mapping of str to float
         Of each hypothesis, all animals together.
     left_out : tuple of str
-        Animals whose answers speak for no hypothesis: under one or another the fit found them
-        reversed, one-sided or none. They are not in the evidence, nor in the population.
+        Animals whose answers are evidence for no hypothesis: under at least one, the fit found them
+        reversed, one-sided or missing. They are not in the evidence, nor in the population.
     trials : Trials
     fits : sequence of WeberFit or PopulationFit
         One for each row of `estimates`.
@@ -84,7 +84,7 @@ class AnalysisResult(Shown):
         return self.log_evidence[hypothesis] - max(others, default=-np.inf)
 
     def favoured(self, bayes_factor: float = 10.0) -> str | None:
-        """The hypothesis that is so many times as probable as every other, None without one."""
+        """The hypothesis `bayes_factor` times as probable as every other, or None."""
         best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
         return best if self.log_bayes_factor(best) > np.log(bayes_factor) else None
 
@@ -180,7 +180,7 @@ def analyse(
     Raises
     ------
     ValueError
-        For trials that cannot be fitted, and one animal together with nobody.
+        For trials that cannot be fitted, and a single animal with `together`.
 
     Examples
     --------
@@ -415,7 +415,7 @@ class Plan(Shown):
 
     @cached_property
     def jnds_by_standard(self) -> pd.DataFrame:
-        """The JND that each standard's own trials will tell, of one animal.
+        """The JND of one animal, from the trials of each standard alone.
 
         Columns `standard_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`, `status`.
         """

@@ -100,9 +100,9 @@ def power(
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
-    of its fit; see `weberwhisk.design.experiments`. Several animals share a population of ln k, as
-    in `fit_population`. `coverage` says how often intervals of k hold the truth, and
-    the report where that is too seldom: then the animals are not as the priors have them.
+    of its fit, and without effects; see `weberwhisk.design.experiments`. Several animals share a
+    population of ln k, as in `fit_population`. `coverage` is how often intervals of k contain the
+    truth; the report says where that is too seldom, as the animals are not as the priors have them.
 
     Parameters
     ----------
@@ -223,8 +223,8 @@ def smallest(
         Where the search ends: 1000 trials of a comparison, or 200 animals.
     runs : int
         Experiments of each size and truth visited, and twice as many of the size found. With
-        several animals 96 of them settle a size whose power is clearly above or below the goal's
-        share (99 %), and there are fewer where they would have more than 8192 animals.
+        several animals 96 are enough where the power is clearly above or below the goal's share
+        (99 %), and at most so many as have 8192 animals together, though never below 96.
     seed : int
     **options
         As for `power`.

@@ -115,7 +115,7 @@ class Scheme(Fields):
         animals: int = 1,
         step: float = 0.0,
     ) -> Scheme:
-        """Offsets in units of how well the expected animal tells each standard.
+        """A scheme whose offsets are in sds of the expected animal at each standard.
 
         Parameters
         ----------
@@ -303,8 +303,8 @@ def lattice(
     ----------
     encoding : Encoding
         Says how large an offset is: from 0.01 to 1.2 times the sd of the difference between two
-        encodings that an animal with k = 1 would have (`difference_sd`), about twice the least and
-        the greatest k that may be met.
+        encodings at k = 1 (`difference_sd`): 2 sds for animals of k = 0.005 and 0.6, about the
+        smallest and the greatest expected.
     standards : array_like
     constraints : Constraints, optional
         What falls outside the range is left out, the rest put on the nearest step.
