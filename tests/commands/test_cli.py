@@ -642,6 +642,7 @@ C2 = ["--identity", "C2"]
         (["simulate", *C2, "--cue", "vibrissa-length"], "cue 'vibrissa-length' is unknown"),
         (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
         (["simulate", "--effect", "history"], "the value of an effect must be a number"),
+        (["simulate", "--effect", "covariate:laser"], "write covariate:laser:0.3"),
         (["simulate", "--weber-fraction", "-1"], "--weber-fraction must be above zero"),
         (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),
         (["simulate", "--standard-mm", "3"], "--standard-mm needs a whisker"),

@@ -29,8 +29,7 @@ __all__ = [
 class Effect:
     """A change of the observer with one parameter; by default with no scale and no column.
 
-    `name` is that of the parameter; `prior` its frozen SciPy distribution, or a number where it is
-    known; at 0 there is no effect.
+    `name` is that of the parameter, `prior` its frozen SciPy distribution or, if known, a number.
     """
 
     name: str
@@ -383,5 +382,6 @@ def effect_valued(text: str) -> tuple[Effect, float]:
     0.3
     """
     name, _, value = text.rpartition(":")
-    hint = f"write {name or text}:0.3, say"
-    return effect_named(name or text), checks.number("the value of an effect", value, hint)
+    start = text if name in ("", "covariate") else name
+    number = checks.number("the value of an effect", value, f"write {start}:0.3, say")
+    return effect_named(name or text), number

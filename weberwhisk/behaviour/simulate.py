@@ -84,8 +84,8 @@ def simulate_trials(
     bias : float or array_like, shape (S,)
         In sds of the difference between the two signals, positive towards "second greater".
     drift, bias_drift : float
-        A learning animal: how far ln k and the bias go from the first session to the last, in
-        equal steps; their mean over the sessions is what is given above.
+        A learning animal: how far ln k (as by the effect `Drift`) and the bias go from the first
+        session to the last, in equal steps; their mean over the sessions is what is given above.
     encoding : Encoding, optional
         How a stimulus is encoded, any cue and any noise; the magnitude itself by default.
     observer : Observer, optional
