@@ -166,9 +166,7 @@ _SHARED: dict[str, Any] = {
         int, "Makes the draws repeatable.", _of("Results", parser=a_seed, metavar="NUMBER")
     ],
     "out": Annotated[
-        Path | None,
-        "Folder for the tables, figures and record.",
-        _of("Results", metavar="FOLDER"),
+        Path | None, "Folder for the tables, figures and record.", _of("Results", metavar="FOLDER")
     ],
     "as_json": Annotated[
         bool, "Print the result alone on standard output, as JSON.", _of("Results")

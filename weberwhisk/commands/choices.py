@@ -158,8 +158,7 @@ def next_trials(
     standard: Annotated[opt.Texts, "Magnitudes compared with."] = None,
     standard_mm: opt.Texts = None,
     goal: Annotated[
-        str,
-        "What the trials are to tell: weber-fraction, or taper (against a cylinder).",
+        str, "What the trials are to tell: weber-fraction, or taper (against a cylinder)."
     ] = "weber-fraction",
     nearest: Annotated[float, "Least stimulus; mm with a whisker."] = 0.0,
     farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),

@@ -51,8 +51,7 @@ def design(
         opt.Texts, "Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]"
     ] = None,
     level: Annotated[
-        opt.Texts,
-        f"Comparisons, in sds of what the animal can tell.  [default: {_LEVELS}]",
+        opt.Texts, f"Comparisons, in sds of what the animal can tell.  [default: {_LEVELS}]"
     ] = None,
     best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
     trials: Annotated[

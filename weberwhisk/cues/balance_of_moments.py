@@ -159,11 +159,7 @@ class BalanceOfMoments(Cue):
         if gain is not None:
             gain = positive_number("gain", gain, "give muscle units per EI₀/L, such as 2.0")
         self._set(
-            impact_angle=impact,
-            effort=effort,
-            gain=gain,
-            separation=width,
-            whisking=(low, high),
+            impact_angle=impact, effort=effort, gain=gain, separation=width, whisking=(low, high)
         )
 
     @property

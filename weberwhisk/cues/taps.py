@@ -148,10 +148,7 @@ class Compliance(Cue):
         return reach_at(whisker, self.tap_angle, "tap_angle")
 
     def radial_distance(
-        self,
-        whisker: Whisker,
-        moment_rate: ArrayLike,
-        angular_velocity: ArrayLike | None = None,
+        self, whisker: Whisker, moment_rate: ArrayLike, angular_velocity: ArrayLike | None = None
     ) -> Array:
         """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's.
 

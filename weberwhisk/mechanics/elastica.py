@@ -36,11 +36,7 @@ MAP_ERROR = 1e-12
 ROWS = 8192
 
 
-def beyond_tip(
-    distance: Array,
-    length: Array | float,
-    fraction: Array,
-) -> Flags:
+def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags:
     """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
 
     `fraction` is the distance over the apex distance.

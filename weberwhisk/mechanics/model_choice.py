@@ -423,10 +423,7 @@ def of_model(observer: Any, model: str) -> float:
 
 
 def between(
-    observer: Any,
-    contact: Array,
-    one: tuple[Array, Codes],
-    other: tuple[Array, Codes],
+    observer: Any, contact: Array, one: tuple[Array, Codes], other: tuple[Array, Codes]
 ) -> float:
     """Largest bias between two sets of signals of contacts, JNDs."""
     (exact, outcome), (rough, held) = one, other

@@ -23,14 +23,7 @@ from .designs import (
     power_curve,
     rehearsed,
 )
-from .fits import (
-    comparison,
-    engagement,
-    population,
-    psychometrics,
-    residuals,
-    shrinkage,
-)
+from .fits import comparison, engagement, population, psychometrics, residuals, shrinkage
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 
 __all__ = [

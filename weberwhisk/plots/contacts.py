@@ -263,11 +263,7 @@ def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 @styled
 def jnd_surface(
-    table: pd.DataFrame,
-    ax: Axes | None = None,
-    *,
-    length: float,
-    weber_fraction: float,
+    table: pd.DataFrame, ax: Axes | None = None, *, length: float, weber_fraction: float
 ) -> Axes:
     """The JND over radial distance and deflection angle, up to where the whisker flicks past.
 

@@ -10,15 +10,7 @@ import pandas as pd
 
 from .._util import checks
 from .._util.values import Flags
-from .files import (
-    angle_and_curvature,
-    hdf5,
-    measurements,
-    points,
-    poses,
-    segments,
-    whiskers,
-)
+from .files import angle_and_curvature, hdf5, measurements, points, poses, segments, whiskers
 
 #: Columns of every table, in order; what a file does not tell is NaN, and label is −1.
 COLUMNS = (
