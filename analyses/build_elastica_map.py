@@ -22,7 +22,7 @@ from command import options
 from numpy.polynomial import legendre
 
 import weberwhisk
-from weberwhisk.mechanics.chebyshev import (
+from weberwhisk.mechanics.elastica import (
     Array,
     ChebyshevTable,
     Curve,

@@ -11,8 +11,7 @@ from mpmath import mp
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.mechanics.chebyshev import load_cap, the_map
-from weberwhisk.mechanics.elastica import Surface
+from weberwhisk.mechanics.elastica import Surface, load_cap, the_map
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 SIGNALS = ("moment", "axial_force", "transverse_force")

@@ -18,7 +18,7 @@ import scipy
 from .._util.checks import number, one_or_more, positive_number, refuse_hinge, shown
 from .._util.values import Array, Flags
 from ..mechanics.curved_surface import SIX
-from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
+from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import ReceptorNoise
 from .force_map import SIGNALS
 from .protocol import Cue, Encoded, a_cue
@@ -167,9 +167,7 @@ class Friction(_Wrapped):
     coefficient: float
     unknown: ClassVar[str] = "friction_angle"
 
-    def __init__(
-        self, cue: Cue, angle: float | None = None, *, coefficient: float = FRICTION_COEFFICIENT
-    ) -> None:
+    def __init__(self, cue: Cue, angle: float | None = None, *, coefficient: float = 0.48) -> None:
         if angle is not None:
             angle = number("angle", angle, "give radians, such as -0.2, or None where unknown")
         largest = positive_number("coefficient", coefficient, "give µ, such as 0.48")

@@ -31,28 +31,17 @@ from .._util.values import Array, Codes, Index
 from .shape import Law, Profile
 
 __all__ = [
-    "CAUTION", "ENDS", "POINTS", "SLOTS", "STAGES", "Path", "Piece", "Rows", "follow",
+    "CAUTION", "ENDS", "POINTS", "STAGES", "Path", "Piece", "Rows", "follow",
     "follow_each", "needed", "pilot", "resolve", "rows_of", "zero_load",
 ]  # fmt: skip
 
 STAGES = DOP853.n_stages
 #: Where in a step they lie.
 PLACES = np.asarray(DOP853.C[:STAGES], dtype=float)
-_ORDER = [1, 2, 0, *range(3, STAGES)]
-SLOTS = [_ORDER.index(i) for i in range(STAGES)]  # where the slope of each stage is kept
-
-
-def _stage(i: int) -> tuple[slice, Array]:
-    row = np.asarray(DOP853.A[i, _ORDER], dtype=float)
-    used = np.flatnonzero(row)
-    part = slice(used[0], used[-1] + 1) if used.size else slice(0, 0)
-    return part, np.ascontiguousarray(row[part])
-
-
-#: The slopes that make each stage's point, and their weights.
-POINTS = [_stage(i) for i in range(STAGES)]
+#: The weights of the slopes before it that make each stage's point.
+POINTS = [np.asarray(DOP853.A[i, :i], dtype=float) for i in range(STAGES)]
 #: The weights of the step, and of its estimate of error of order h⁶.
-ENDS: Array = np.ascontiguousarray(np.stack([DOP853.B, DOP853.E5[:STAGES]])[:, _ORDER], dtype=float)
+ENDS: Array = np.stack([DOP853.B, DOP853.E5[:STAGES]]).astype(float)
 #: What h⁶ estimates to the power of 3/2 are multiplied with for a bound on the method's own error,
 #: of order h⁹, which then holds in 99 of 100 whiskers and exceeds the error by 7 in the median.
 CAUTION = 4.0
@@ -243,14 +232,10 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
             weight, give, curl = path.at(step)
             load = -force * give
             left = state[4] > 0
-            first = SLOTS[0]
-            _slope(state, weight[0], give[0], load[0], curl[0], slopes[first], rates[first])
-            for i in range(1, STAGES):
-                used, share = POINTS[i]
-                np.dot(share, fed[used], out=point.reshape(-1))
+            for i, share in enumerate(POINTS):
+                np.dot(share, fed[:i], out=point.reshape(-1))
                 point += state[:FED]
-                at = SLOTS[i]
-                _slope(point, weight[i], give[i], load[i], curl[i], slopes[at], rates[at])
+                _slope(point, weight[i], give[i], load[i], curl[i], slopes[i], rates[i])
             state[:FED] += np.dot(ENDS[0], fed).reshape(FED, n)
             state[FED:] += np.dot(ENDS[0], summed).reshape(-1, n)
             off_sine, off_cosine, off_x = np.dot(ENDS[1], fed[:, 4 * n :]).reshape(3, n)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .._util.values import Array, Codes, Flags, Index
 from .beam import Path, Rows, follow_each, resolve, zero_load
-from .chebyshev import nodes
+from .elastica import nodes
 
 __all__ = [
     "FOLD", "NO_MOVE", "REACHED", "TIP", "Branches", "NotFound", "Walk", "extended", "tangents",
@@ -30,8 +30,6 @@ REACHED, FOLD, TIP, NO_MOVE = range(4)
 #: Steps along a branch, in its own units: the first, the longest, and the shortest, at which a walk
 #: gives up.
 FIRST, LONGEST, SHORTEST = 0.05, 0.25, 1e-5
-#: Relative error of a pass that is small beside a step.
-ROUGH = 1e-4
 
 
 class NotFound(Exception):
@@ -234,7 +232,8 @@ def walk(branches: Branches, target: Array, *, peaks: bool = False) -> Walk:
     With `peaks` the largest moment on the way is found as well.
     """
     n, goal = branches.r.size, target / branches.scale[-1]
-    rough = replace(branches, tolerance=max(branches.tolerance, ROUGH))
+    # An error of 1e-4 is small beside a step.
+    rough = replace(branches, tolerance=max(branches.tolerance, 1e-4))
     y, end = branches.start, np.full(n, FOLD, dtype=np.int8)
     end[~(branches.stiff > 0)] = NO_MOVE
     end[(end == FOLD) & (branches.arc >= branches.last * (1 - 1e-12))] = TIP

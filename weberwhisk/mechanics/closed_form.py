@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 from .._util.checks import refuse_hinge
 from .._util.values import Array, Codes, Flags
 from ..whisker import Whisker
-from .contact import Bending, Model, Outcome
-from .elastica import beyond_tip, by_rows
+from .contact import Bending, Model, Outcome, beyond_tip, by_rows
 
 __all__ = [
     "bend", "contact_from_signals", "distance_from_moment", "moment", "press", "signal_jacobian",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import domain
-from .._util.checks import finite
+from .._util.checks import finite, refuse_hinge
 from .._util.values import Array, Codes, Flags, Line, Shown, Worded, member, pd
 from ..whisker import Whisker
 
 __all__ = [
     "NUMBERS", "TIP_ROUNDING", "TOLERANCE", "Bending", "FlickPast", "Model", "Outcome",
-    "bending", "friction",
+    "bending", "beyond_tip", "by_rows", "flat_with", "friction", "in_pieces",
 ]  # fmt: skip
 
 
@@ -167,8 +168,6 @@ NUMBERS = (
     "moment", "axial_force", "transverse_force", "radial_distance", "deflection_angle",
     "contact_angle", "arc_length", "force",
 )  # fmt: skip
-
-
 #: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.
 TIP_ROUNDING = 1e-12
 
@@ -192,6 +191,47 @@ def bending(
         error=error.reshape(shape)[()],
         whisker=whisker,
     )
+
+
+def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags:
+    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
+
+    `fraction` is the distance over the apex distance.
+    """
+    return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
+
+
+def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
+    """`solve` of flat arrays (n,), or (1,) for all, piece by piece; what it returns, joined."""
+    found, rows = [], 8192  # pieces that fit the cache halve the time of large calls
+    for start in range(0, max(given[0].size, 1), rows):
+        piece = slice(start, start + rows)
+        found.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
+    if len(found) == 1:
+        return found[0]
+    if isinstance(found[0], tuple):
+        return tuple(np.concatenate(parts, axis=axis) for parts in zip(*found, strict=True))
+    return np.concatenate(found, axis=axis)
+
+
+def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """The shape of scenes of a straight whisker; its length, taper, stiffness and they, flat."""
+    given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
+    flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]
+    return given[0].shape, flat
+
+
+def by_rows(
+    solve: Callable[..., Any], model: Model, whisker: Whisker, *arguments: ArrayLike
+) -> Bending:
+    """Broadcast a straight whisker and its contacts, solve them, and shape the result.
+
+    `solve` takes flat arrays ``(length, taper, stiffness, *arguments)`` and returns the eight
+    numbers (8, n), the outcomes (n,) and the errors (n,).
+    """
+    refuse_hinge(whisker, f"The {model.name.lower()} model")
+    shape, flat = flat_with(whisker, *arguments)
+    return bending(whisker, model, shape, *in_pieces(solve, *flat))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -29,8 +29,8 @@ from . import profile as planar
 from . import rod
 from .beam import rows_of, zero_load
 from .branches import Branches, NotFound, extended, walk
-from .chebyshev import basis, fit, nodes, place_of, product, unfold
 from .contact import Outcome
+from .elastica import basis, fit, nodes, place_of, product, unfold
 from .shape import Profile, Spiral
 
 __all__ = ["SIX", "THINNEST", "CurvedSurface", "curved_surface", "more_curved", "pressed"]

@@ -17,8 +17,8 @@ from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
 from .branches import FOLD, NO_MOVE, REACHED, TIP, Branches, extended, walk
-from .chebyshev import ChebyshevTable, Curve, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
+from .elastica import ChebyshevTable, Curve, the_map, unfold
 from .shape import Profile
 
 __all__ = [

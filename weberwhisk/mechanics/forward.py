@@ -39,17 +39,15 @@ from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
 from .beam import rows_of, zero_load
-from .contact import Outcome
+from .contact import Outcome, in_pieces
 from .curved_surface import THINNEST, CurvedSurface, curved_surface, more_curved, pressed
-from .elastica import Surface, in_pieces, surface_of
+from .elastica import Surface, surface_of
 from .profile import rest_angle
 from .shape import Profile
 
-__all__ = ["FRICTION_COEFFICIENT", "ForwardModel", "forward_of"]
+__all__ = ["ForwardModel", "forward_of"]
 
 NAMES = ("moment", "axial_force", "transverse_force")
-#: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
-FRICTION_COEFFICIENT = 0.48
 
 
 @dataclass(frozen=True, eq=False)

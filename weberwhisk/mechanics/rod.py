@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from .._util.checks import finite, positive
 from .._util.values import Array, Codes, Fields, Flags, Index
 from ..whisker import Whisker
-from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot, zero_load
+from .beam import CAUTION, ENDS, POINTS, STAGES, Piece, Rows, pilot, zero_load
 from .contact import TOLERANCE, Model, Outcome, friction
 from .equilibrium import ROUNDING, Scenes, on_whisker
 from .shape import Profile
@@ -319,9 +319,9 @@ class RodScenes:
             path = Piece(self.rows, piece, low, np.maximum(high, low), steps)
             for step in range(steps):
                 weight, give, curl = path.at(step)
-                for i, (used, share) in enumerate(POINTS):
-                    at = state + np.tensordot(share, slopes[used], axes=1) if i else state
-                    slopes[SLOTS[i]] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
+                for i, share in enumerate(POINTS):
+                    at = state + np.tensordot(share, slopes[:i], axes=1)
+                    slopes[i] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
                 change, off = np.tensordot(ENDS, slopes, axes=1)
                 state = state + change
                 size = (off[:9] ** 2).sum(axis=0) + (off[9:] ** 2).sum(axis=0) / v[0] ** 2
