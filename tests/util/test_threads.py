@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from weberwhisk._util import threads
+from weberwhisk._util import campaign
 from weberwhisk._util.campaign import all_cores
 from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, simulate_population
 from weberwhisk.design import Hypothesis, Scheme
@@ -14,7 +14,7 @@ from weberwhisk.design.experiments import fit
 
 
 def test_a_worker_for_each_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
+    monkeypatch.setattr(campaign.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
     assert all_cores(None, None) == 8
 
 
@@ -25,14 +25,14 @@ def test_the_limit_lasts_until_the_last_thread_leaves_it() -> None:
         return max(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")
 
     with threadpool_limits(2, user_api="blas"):
-        before, first, second = most(), threads.limited_blas(), threads.limited_blas()
+        before, first, second = most(), campaign.limited_blas(), campaign.limited_blas()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
         assert most() == 1
         second.__exit__(None, None, None)
         assert most() == before
-        with pytest.raises(ZeroDivisionError), threads.limited_blas():
+        with pytest.raises(ZeroDivisionError), campaign.limited_blas():
             1 / 0  # noqa: B018
         assert most() == before
 

@@ -1,4 +1,4 @@
-"""Sweeps: the same work on many chunks, serially, on all cores, or on a cluster.
+"""Sweeps: the same work on many chunks, serially, on all cores, or on a cluster; and their threads.
 
 Recovery, power, calibration and surfaces of JNDs are all of one kind: a function of a chunk (what
 to do) and a seed (its own) that returns a table. `run` does it for every chunk, and the answer is
@@ -12,21 +12,24 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, as_completed
 from contextlib import closing, contextmanager, nullcontext
-from functools import partial
-from typing import Any
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import checks, output
 from .output import Log, shown
-from .threads import core_count, in_browser, limited_blas
 from .values import pd
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 __all__ = ["CampaignError", "all_cores", "run"]
 
@@ -348,3 +351,57 @@ def _cluster(address: str) -> Iterator[Pool]:
         raise CampaignError(f"a chunk has killed its workers: {error}") from None
     except (OSError, CancelledError):
         raise CampaignError("the cluster was lost: the scheduler does not answer.") from None
+
+
+# -- cores and threads ---------------------------------------------------------------------------
+
+
+def in_browser() -> bool:
+    """Whether this is Python in WebAssembly (Pyodide), which has neither threads nor processes."""
+    return sys.platform == "emscripten"
+
+
+def core_count() -> int:
+    """Cores that this process may run on, which may be fewer than the machine has."""
+    if in_browser():
+        return 1
+    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries of linear algebra."""
+    import scipy.linalg  # noqa: F401  # its library must be loaded to be found
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+_lock = threading.Lock()
+_holders: list[Any] = []  # the limit, once for each thread within it
+
+
+@contextmanager
+def limited_blas() -> Iterator[None]:
+    """Let linear algebra use one thread: more would add in another order.
+
+    The limit is the whole process's: it ends when the last thread that needs it leaves.
+    """
+    if in_browser():
+        yield
+        return
+    with _lock:
+        first = not _holders
+        _holders.append(_libraries().limit(limits=1, user_api="blas") if first else _holders[0])
+    try:
+        yield
+    finally:
+        with _lock:
+            limit = _holders.pop()
+            if not _holders:
+                limit.restore_original_limits()
+
+
+#: As a decorator: products are many and small, and waking a second thread for each takes longer.
+one_blas_thread = limited_blas()

@@ -31,14 +31,10 @@ __all__ = [
     "Shortfall", "StackedSample", "mcse", "pointwise_loo", "rhat", "sample_stacked", "to_arviz",
 ]  # fmt: skip
 
-#: Every second step is kept: half the memory, for 5 % of the information at best.
-THIN = 2
 #: R-hat below which independent ensembles agree (Vehtari et al. 2021, Bayesian Analysis 16, 667).
 RHAT = 1.01
 #: Autocorrelation times in all ensembles together: 40 in each of four; emcee advises 50 for one.
 LENGTH = 160
-#: Draws of an ensemble that stay: as many as its 40 autocorrelation times hold, and more.
-KEPT = 1024
 
 
 class Shortfall(IntFlag):
@@ -228,11 +224,12 @@ def sample_stacked(
     fields: dict[str, NDArray] = {}
     steps, check = 0, 128
     while alive.size:
-        pieces = -(-(min(check, max_steps) - steps) // THIN)
+        # Every second step is kept: half the memory, for 5 % of the information at best.
+        pairs = -(-(min(check, max_steps) - steps) // 2)
         sampler = emcee.EnsembleSampler(*state.coords.shape, density, moves=moves, vectorize=True)
         sampler.log_prob_fn = density  # emcee's wrapper prints all walkers on an error
-        state = sampler.run_mcmc(state, pieces, thin_by=THIN, skip_initial_state_check=True)
-        steps, check = steps + THIN * pieces, check * 3 // 2
+        state = sampler.run_mcmc(state, pairs, thin_by=2, skip_initial_state_check=True)
+        steps, check = steps + 2 * pairs, check * 3 // 2
         chain = np.concatenate([chain, columns(sampler.get_chain())], axis=2)
         stuck = (sampler.backend.accepted == 0).reshape(len(alive), -1).any(axis=1)
         last = steps >= max_steps
@@ -267,7 +264,8 @@ def _judged(chain: Array, steps: int, stuck: Flags, precision: float, every: boo
     fault |= Shortfall.SHORT * ~(first.var(axis=(2, 3)) / mcse_mean**2 >= LENGTH).all(axis=1)
     fault |= Shortfall.IMPRECISE * ~(error <= precision).all(axis=1)
     fault |= Shortfall.STUCK * stuck
-    even = np.linspace(0, n - 1, max(KEPT // walkers, 8)).round().astype(np.intp)
+    # Draws of an ensemble that stay: as many as its 40 autocorrelation times hold, and more.
+    even = np.linspace(0, n - 1, max(1024 // walkers, 8)).round().astype(np.intp)
     values = chain[:, :, even].reshape(*chain.shape[:2], -1, chain.shape[4])
     rhats, asked = np.full(mean.shape, np.nan), (fault == 0) | every
     rhats[asked] = rhat(np.moveaxis(values[asked], -1, 1))

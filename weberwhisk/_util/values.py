@@ -214,21 +214,10 @@ class Shown(Line):
 
         Without `ax` on a figure of its own, which `pyplot` knows: a notebook shows it, and
         `plt.show()` does in a script.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         plots = sys.modules[__name__.partition(".")[0]].plots
         drawn: Figure = plots.shown(getattr(plots, self._figure), self, ax, options)
         return drawn
-
-
-#: What the name of a column says for an SI unit, and how many of it are one SI unit.
-_COLUMN_UNITS = {
-    "m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "rad/s": ("deg_per_s", 180 / math.pi),
-    "1/m": ("per_m", 1.0), "N m/rad": ("Nm_per_rad", 1.0),
-}  # fmt: skip
 
 
 def with_units(
@@ -250,10 +239,14 @@ def with_units(
     """
     of = {n: unit for n, unit in (units or {}).items() if n in table}
     of |= dict.fromkeys(lengths, "m") | dict.fromkeys(angles, "rad")
+    said = {
+        "m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "rad/s": ("deg_per_s", 180 / math.pi),
+        "1/m": ("per_m", 1.0), "N m/rad": ("Nm_per_rad", 1.0),
+    }  # fmt: skip
     found = table.copy()
     for name, unit in of.items():
-        found[name] = table[name] * _COLUMN_UNITS[unit][1]
-    return found.rename(columns={n: f"{n}_{_COLUMN_UNITS[unit][0]}" for n, unit in of.items()})
+        found[name] = table[name] * said[unit][1]
+    return found.rename(columns={name: f"{name}_{said[unit][0]}" for name, unit in of.items()})
 
 
 class Worded(IntEnum):

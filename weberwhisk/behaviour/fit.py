@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from .._util import checks
+from .._util.campaign import one_blas_thread
 from .._util.sampling import ArvizData
-from .._util.threads import one_blas_thread
 from .._util.values import Array, pd
 from . import methods, report
 from .effects import Effect

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
-from .._util.threads import one_blas_thread
+from .._util.campaign import one_blas_thread
 from .._util.values import Array, Line
 from .axes import lapse_prior, score_prior
 from .estimates import Estimates, check_fit

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.special import bdtrc
 
 from .._util import checks
+from .._util.campaign import one_blas_thread
 from .._util.output import plain
 from .._util.sampling import ArvizData, to_arviz
-from .._util.threads import one_blas_thread
 from .._util.values import Array, Shown, counted, interval_text, methods_text
 from ..inference.coordinates import in_words
 from . import methods

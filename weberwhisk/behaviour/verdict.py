@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from .._util.threads import one_blas_thread
+from .._util.campaign import one_blas_thread
 from .._util.values import Array
 from .integrate import integrate
 from .likelihood import WeberModel

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from scipy.stats import beta as beta_distribution
 
-from .._util.threads import one_blas_thread
+from .._util.campaign import one_blas_thread
 from .._util.values import Array
 from ..behaviour.axes import score_prior
 from ..behaviour.fit import fit_weber
