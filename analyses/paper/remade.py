@@ -25,10 +25,11 @@ from scipy.integrate import solve_ivp
 
 from weberwhisk import Outcome, Whisker, bend, flick_past, press
 from weberwhisk.cues import BalanceOfMoments, Compliance
-from weberwhisk.cues.balance_of_moments import WHISKING, MuscleCurve
+from weberwhisk.cues.balance_of_moments import MuscleCurve
 from weberwhisk.mechanics import Bending
 
 Array = np.ndarray
+WHISKING = BalanceOfMoments().whisking
 CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
 
 

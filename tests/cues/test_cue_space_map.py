@@ -18,8 +18,7 @@ from weberwhisk.cues import (
     UnknownRoll,
     UnknownStiffness,
 )
-from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.cues.space_map import IN_SPACE
+from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.mechanics import rod

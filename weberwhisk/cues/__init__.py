@@ -2,9 +2,8 @@
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments, MuscleCurve
-from .force_map import ForceMap
+from .force_map import ForceMap, SpaceMap
 from .protocol import Cue, Fused
-from .space_map import SpaceMap
 from .taps import Compliance, Vibration
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibrissa_length import ComparativeLength, VibrissaLength

@@ -22,10 +22,7 @@ from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .protocol import Cue, Encoded, reach_at, readings, straight
 
-__all__ = ["ANGLE_SD", "AngleSideAngle", "ContactAndDetachment", "TwoWhiskers"]
-
-#: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
-ANGLE_SD = float(np.radians(1.0))
+__all__ = ["AngleSideAngle", "ContactAndDetachment", "TwoWhiskers"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,14 +96,6 @@ class AngleSideAngle(Cue):
         """Distance, bearing and, where it is not known, the side."""
         return ("radial_distance", "bearing", "side")[: 2 + (self.side_sd > 0)]
 
-    def _triangle(self, contact: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """r, bearing and side, and the first place's distance and angle."""
-        contact = np.asarray(contact, dtype=float)
-        r, bearing = contact[..., 0], contact[..., 1]
-        side = contact[..., 2] if self.side_sd > 0 else np.full(r.shape, self.side)
-        along, across = side + r * np.cos(bearing), r * np.sin(bearing)
-        return r, bearing, side, np.hypot(along, across), np.arctan2(across, along)
-
     def _reaches(self, whisker: Whisker) -> tuple[float, float]:
         """How far the object may be from the first place and from the second, m."""
         return float(whisker.length), float(whisker.length)
@@ -133,9 +122,13 @@ class AngleSideAngle(Cue):
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """First and second angle (..., 2), rad, of a contact (..., U), and its outcome."""
         straight(whisker)
-        r, bearing, _, first, angle = self._triangle(contact)
-        outcome = self._outcome(whisker, r, first)
-        angles = np.stack([angle, bearing], axis=-1)
+        contact = np.asarray(contact, dtype=float)
+        r, bearing = contact[..., 0], contact[..., 1]
+        side = contact[..., 2] if self.side_sd > 0 else self.side
+        # The object as seen from the first place.
+        along, across = side + r * np.cos(bearing), r * np.sin(bearing)
+        outcome = self._outcome(whisker, r, np.hypot(along, across))
+        angles = np.stack([np.arctan2(across, along), bearing], axis=-1)
         return np.where((outcome == Outcome.HELD)[..., None], angles, np.nan), outcome
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
@@ -147,8 +140,8 @@ class AngleSideAngle(Cue):
         return priors
 
     def default_noise(self) -> GeneralisedWeber:
-        """The same sd at every angle: one degree."""
-        return GeneralisedWeber(0.0, floor=ANGLE_SD)
+        """The same sd at every angle, one degree: nothing is known of single whiskers."""
+        return GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
 
     def farthest(self, whisker: Whisker) -> float:
         """As far as the object is reached from both places at every bearing, m."""
@@ -257,7 +250,7 @@ class ContactAndDetachment(AngleSideAngle):
         self._set(push=non_negative_number("push", self.push, "give radians, 0.17 say"))
 
     def _reaches(self, whisker: Whisker) -> tuple[float, float]:
-        reach = _held_to(whisker, self.push)
+        reach = _reach_at(whisker, self.push, "push")
         return reach, reach
 
     def _outcome(self, whisker: Whisker, r: Array, first: Array) -> Codes:
@@ -267,7 +260,4 @@ class ContactAndDetachment(AngleSideAngle):
         return np.where(lost, Outcome.FLICKED_PAST, outcome).astype(np.int8)
 
 
-@lru_cache(maxsize=64)
-def _held_to(whisker: Whisker, push: float) -> float:
-    """The distance at which a deflection is the largest that is held, m."""
-    return reach_at(whisker, push, "push")
+_reach_at = lru_cache(maxsize=64)(reach_at)

@@ -17,13 +17,10 @@ from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import GeneralisedWeber
-from .angle_side_angle import ANGLE_SD
 from .protocol import Cue, Encoded
 
 __all__ = ["BalanceOfMoments", "MuscleCurve"]
 
-#: Figure 3c: the range of whisking, rad.
-WHISKING = (np.radians(30.0), np.radians(150.0))
 #: w of equation (2.2), at the centre of the pad (§2h).
 SEPARATION = 1.25
 
@@ -105,7 +102,7 @@ class BalanceOfMoments(Cue):
         Which curve of the largest muscle moment.
     gain, separation, whisking
         Muscle units per EI₀/L (default `MuscleCurve.gain`), w of equation (2.2), the range of
-        follicle angles (rad).
+        follicle angles (rad; default figure 3c's).
 
     Raises
     ------
@@ -136,7 +133,7 @@ class BalanceOfMoments(Cue):
     curve: MuscleCurve = MuscleCurve.NORMALISED
     gain: float | None = None
     separation: float = SEPARATION
-    whisking: tuple[float, float] = WHISKING
+    whisking: tuple[float, float] = (float(np.radians(30.0)), float(np.radians(150.0)))
 
     def __post_init__(self) -> None:
         impact = number("impact_angle", self.impact_angle, "give radians, such as 1.05")
@@ -183,10 +180,6 @@ class BalanceOfMoments(Cue):
 
     # -- effort --------------------------------------------------------------------------------
 
-    def _muscle(self, theta: Array) -> Array:
-        """The largest muscle moment at a rotation past the impact."""
-        return self.curve.moment(self.impact_angle + theta, self.separation)
-
     def _effort(self, whisker: Any, r: Array, theta: Array, model: str | None = None) -> Array:
         """The effort that holds a deflection; NaN where the contact is not held."""
         forward = _served(whisker, model)
@@ -195,7 +188,8 @@ class BalanceOfMoments(Cue):
             moment = theta * moment / (1 + forward.hinge_compliance * moment)
         else:
             moment = forward.signals(r, theta)[0][..., 0]
-        return np.asarray(self._gain * moment / forward.base.moment_scale / self._muscle(theta))
+        muscle = self.curve.moment(self.impact_angle + theta, self.separation)
+        return np.asarray(self._gain * moment / forward.base.moment_scale / muscle)
 
     def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
         """Largest deflection (...) at which a muscle can be in balance, rad: the observer's edge.
@@ -265,9 +259,10 @@ class BalanceOfMoments(Cue):
 
     def default_noise(self) -> GeneralisedWeber:
         """One degree of angle at every angle, and Weber's law, k = 0.1, of the effort."""
+        degree = float(np.radians(1.0))
         if self.effort is None:
-            return GeneralisedWeber([0.0, 0.1], floor=[ANGLE_SD, 0.0])
-        return GeneralisedWeber(0.0, floor=ANGLE_SD)
+            return GeneralisedWeber([0.0, 0.1], floor=[degree, 0.0])
+        return GeneralisedWeber(0.0, floor=degree)
 
     def farthest(self, whisker: Any) -> float:
         """As far as a balance is reached, m; the tip where the effort is sensed."""

@@ -27,12 +27,16 @@ from scipy.optimize import brentq
 
 from .._util.checks import numbers, refuse_hinge, shown
 from .._util.values import Array, Codes, Value
+from ..mechanics import Profile, rest_angle
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
-from ..receptors import Joint, ReceptorNoise, Weber
+from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 
-__all__ = ["Cue", "Encoded", "Fused", "a_cue", "reach_at", "readings", "straight"]
+__all__ = [
+    "Cue", "Encoded", "Fused", "MeasuredAngle", "a_cue", "is_curved", "reach_at", "readings",
+    "straight",
+]  # fmt: skip
 
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Encoded = tuple[Array, Codes]
@@ -383,3 +387,54 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
 def _same(encoded: Encoded, last: Array) -> Encoded:
     """What is encoded whatever the last unknown is."""
     return encoded
+
+
+def is_curved(whisker: Any) -> bool:
+    """Whether a Whisker or Profile is curved anywhere."""
+    return any(np.any(value) for value in vars(Profile.of(whisker).law).values())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredAngle(Cue):
+    """A map of forces, and the deflection angle as video shows it, with an error of its own.
+
+    The angle is that from the base tangent, on curved whiskers too, whose unknown deflection angle
+    is counted from the first touch.
+
+    Parameters
+    ----------
+    cue : Cue
+        Of a distance and an unknown deflection angle.
+
+    Examples
+    --------
+    >>> from weberwhisk.cues import ForceMap
+    >>> cue = MeasuredAngle(ForceMap(["moment"]))
+    >>> cue.signal_names, cue.unknowns
+    (('moment', 'measured_angle'), ('radial_distance', 'deflection_angle'))
+    """
+
+    cue: Cue
+    takes_curved = True
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        return (*self.cue.signal_names, "measured_angle")
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        return self.cue.unknowns
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
+        refuse_hinge(whisker, "MeasuredAngle")
+        contact = np.asarray(contact, dtype=float)
+        signals, outcome = self.cue.signals(whisker, contact, model=model)
+        angle, held = contact[..., 1].copy(), outcome == Outcome.HELD
+        if is_curved(whisker) and held.any():
+            angle[held] += rest_angle(whisker, contact[held, 0])
+        return np.concatenate([signals, angle[..., None]], axis=-1), outcome
+
+    def default_noise(self) -> ReceptorNoise:
+        """Weber's law with k = 0.1, and a degree of the angle."""
+        angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
+        return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])

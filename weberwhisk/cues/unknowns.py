@@ -20,9 +20,8 @@ from .._util.values import Array, Flags
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import ReceptorNoise
-from .force_map import SIGNALS
+from .force_map import SIGNALS, SpaceMap
 from .protocol import Cue, Encoded, a_cue
-from .space_map import SpaceMap
 
 __all__ = ["Friction", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness"]
 

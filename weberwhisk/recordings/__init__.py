@@ -3,7 +3,7 @@
 `locate` makes one posterior of each row of a table, and one of each touch.
 """
 
-from ..cues.force_map import MeasuredAngle
+from ..cues.protocol import MeasuredAngle
 from .calibration import Calibration, HingedTap, calibrate
 from .locate import locate, methods_paragraph
 from .signals import tracked_signals

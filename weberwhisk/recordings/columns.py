@@ -13,7 +13,8 @@ import pandas as pd
 from .._util import checks
 from .._util.values import Array, Flags, Index
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
-from ..cues.force_map import SIGNALS, MeasuredAngle
+from ..cues.force_map import SIGNALS
+from ..cues.protocol import MeasuredAngle
 from ..cues.unknowns import Friction
 from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral

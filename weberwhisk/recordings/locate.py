@@ -16,7 +16,7 @@ from .. import domain
 from .._util import checks
 from .._util.values import Array, Index, counted, methods_text
 from ..cues import Cue, ForceMap
-from ..cues.force_map import is_curved
+from ..cues.protocol import is_curved
 from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
 from ..inference.result import distance_prior

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from .._util.values import Array, Index
 from ..cues import Cue, UnknownStiffness
-from ..cues.force_map import is_curved
+from ..cues.protocol import is_curved
 from ..inference import Observer
 from ..inference.methods import sums_of
 from ..inference.one_distance import ReadingGroup, one_distance
