@@ -22,16 +22,12 @@ from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
 from .columns import likely_prefix, read_contacts
-from .noise import curvature_at
+from .mixture import curvature_at
 
 __all__ = ["Calibration", "HingedTap", "averaged", "calibrate"]
 
-#: Taps within this share of the length of each other are at one distance.
-NEAR = 0.01
 #: Share of a slope that its noise is at least: slopes without any would have no likelihood.
 LEAST = 1e-4
-#: Draws of the posterior that `locate` goes by: their mean's sd is a fifth of what they add.
-SAMPLES = 24
 #: Beliefs, mean and sd: logit of length over apex distance; ln of hinge over length; logit of the
 #: misfit of one distance; ln of k.
 BELIEFS = np.array([[1.5, 2.0], [-3.0, 2.0], [-4.5, 1.5], [-3.0, 1.5]])
@@ -192,10 +188,6 @@ def calibrate(
         Of the posterior, by importance sampling about its mode.
     seed : int, SeedSequence or Generator
 
-    Returns
-    -------
-    Calibration
-
     Raises
     ------
     ValueError
@@ -250,8 +242,9 @@ def calibrate(
     residuals = pd.DataFrame(
         {"radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted, "residual_sd": residual}
     )
-    kept = rng.choice(draws, SAMPLES, p=weight)
-    off = misfit[kept] * ndtri((rng.permutation(SAMPLES) + 0.5) / SAMPLES)
+    # What `locate` goes by: the sd of the mean of 24 draws is a fifth of what they add.
+    kept = rng.choice(draws, 24, p=weight)
+    off = misfit[kept] * ndtri((rng.permutation(kept.size) + 0.5) / kept.size)
     samples = tuple(
         (*_as_found(x[i], whisker, counts, 1 + o), Weber(float(k[i])))
         for i, o in zip(kept, off, strict=True)
@@ -332,7 +325,7 @@ def _first_taps(r: Array, whisker: Whisker) -> Index:
     """Where the taps at each distance begin, of ascending distances."""
     first = [0]
     for i in range(len(r)):
-        if r[i] - r[first[-1]] > NEAR * whisker.length:
+        if r[i] - r[first[-1]] > 0.01 * whisker.length:  # a hundredth: at one distance
             first.append(i)
     return np.array(first[: len(r)], dtype=np.intp)
 

@@ -413,7 +413,7 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
             if trials is None:
                 raise ValueError("the NWB file has no trials")
             table = trials.to_dataframe().reset_index(drop=True)
-    return table.drop(columns=[c for c in table if table[c].map(_holds_many).any()])
+    return table.drop(columns=[c for c in table if table[c].map(pd.api.types.is_list_like).any()])
 
 
 def _bpod_trials(path: Path) -> pd.DataFrame:
@@ -433,7 +433,3 @@ def _bpod_trials(path: Path) -> pd.DataFrame:
     # MATLAB's numbers are floats, subject 1 too.
     whole = {name for name, v in table.items() if np.all(v == np.floor(v))}
     return pd.DataFrame({n: v.astype(int) if n in whole else v for n, v in table.items()})
-
-
-def _holds_many(value: Any) -> bool:
-    return hasattr(value, "__len__") and not isinstance(value, str)

@@ -39,8 +39,18 @@ from .columns import (
     signals_of,
     values_of,
 )
-from .mixture import Cases, cases_of, rows_of, touches_of, usual_bow
-from .noise import SPREAD, USUAL, Learnt, learn, scaled
+from .mixture import (
+    SPREAD,
+    USUAL,
+    Cases,
+    Learnt,
+    cases_of,
+    learn,
+    rows_of,
+    scaled,
+    touches_of,
+    usual_bow,
+)
 
 __all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_paragraph"]
 
@@ -56,9 +66,6 @@ TOUCH_RESULTS = (
 MEASURED = "measurement_sd_mm"
 #: By how many sds redundant signals are off each other.
 OFF_BY = "misfit_sd"
-_ORDER = (*RESULTS[:6], MEASURED, OFF_BY, *RESULTS[6:], *TOUCH_RESULTS)
-#: Share of a signal that is the noise of receptors that are taken to have none.
-NO_NOISE = 1e-6
 
 
 def locate(
@@ -253,7 +260,8 @@ def locate(
     notes.append(_priors(plain))
     if bow is None and (note := plain.note):
         notes.append(f"{note}.")
-    out = raw.assign(**{name: columns_of[name] for name in _ORDER if name in columns_of})
+    order = (*RESULTS[:6], MEASURED, OFF_BY, *RESULTS[6:], *TOUCH_RESULTS)
+    out = raw.assign(**{name: columns_of[name] for name in order if name in columns_of})
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
 
@@ -266,11 +274,11 @@ def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
 
 
 def without_receptors(whisker: Any, cue: Cue) -> ReceptorNoise:
-    """Next to no noise of receptors, beside measurement errors."""
-    size = len(cue.signal_names)
+    """Next to no noise of receptors, a millionth of a signal, beside measurement errors."""
+    size, none = len(cue.signal_names), 1e-6
     # A default floor is a hundredth of the usual signal, or one degree.
-    floor = 100 * NO_NOISE * default_noise(whisker, cue, NO_NOISE).floors(size)
-    return GeneralisedWeber(NO_NOISE, floor=floor)
+    floor = 100 * none * default_noise(whisker, cue, none).floors(size)
+    return GeneralisedWeber(none, floor=floor)
 
 
 def _touches_of(

@@ -128,7 +128,7 @@ def read_tracking(
     elif either and len(table):
         spread = {side: _spread(_facing(table, side)) for side in _FACES}
         face = min(spread, key=lambda side: spread[side])
-        clear = spread[face] < 0.7 * spread[_FACES[face][2]]
+        clear = spread[face] < 0.7 * spread[_FACES[face]]
         table = _facing(table, face)
         notes.append(
             f"The face was taken to be at the {face}, where whiskers' ends move "
@@ -173,16 +173,13 @@ def identified_by(table: pd.DataFrame) -> str:
     return "whisker" if twice or not len(labelled) else "label"
 
 
-#: Sides of the image: the axis, its sign towards the face, and the side across.
-_FACES = {
-    "left": ("x", -1, "right"), "right": ("x", 1, "left"),
-    "top": ("y", -1, "bottom"), "bottom": ("y", 1, "top"),
-}  # fmt: skip
+#: Sides of the image, and the side across.
+_FACES = {"left": "right", "right": "left", "top": "bottom", "bottom": "top"}
 
 
 def _facing(table: pd.DataFrame, face: str) -> pd.DataFrame:
     """Every whisker from the end that is nearer to the face."""
-    axis, sign, _ = _FACES[face]
+    axis, sign = "x" if face in ("left", "right") else "y", -1 if face in ("left", "top") else 1
     turn = np.asarray(sign * (table[f"tip_{axis}"] - table[f"follicle_{axis}"]) > 0)
     out = table.copy()
     for name in "xy":
