@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from .mechanics import choose_model as choose_model
     from .mechanics import flick_past as flick_past
     from .mechanics import press as press
-    from .plots.plan import write_plan as write_plan
+    from .plots.designs import write_plan as write_plan
     from .recordings import calibrate as calibrate
     from .recordings import read_tracking as read_tracking
     from .recordings import tracked_signals as tracked_signals
@@ -68,7 +68,7 @@ _NAMES = {
     "simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
-    "plots.plan": "write_plan",
+    "plots.designs": "write_plan",
     "_util.output": "cite",
 }
 _MODULES = {

@@ -124,7 +124,7 @@ def design(
             **encoded,
         )
         if run.out_dir is not None:
-            from ..plots.plan import fill
+            from ..plots.designs import fill
 
             fill(run, plan)
     opt.finish(

@@ -203,10 +203,6 @@ def jnd_lines(
     weber_fraction : float, optional
         See `length`.
 
-    Returns
-    -------
-    Axes
-
     Examples
     --------
     >>> from weberwhisk import Observer, Whisker, cues, jnd_curve as curve
@@ -283,10 +279,6 @@ def jnd_surface(
     ax : Axes, optional
     length, weber_fraction : float
         m. The JND is shown as a fraction of their product, the distance as one of the length.
-
-    Returns
-    -------
-    Axes
     """
     ax = axes_or_new(ax, SINGLE + 0.6, 3.0)
     fill_surface(ax, table, length, weber_fraction)

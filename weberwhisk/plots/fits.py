@@ -59,10 +59,6 @@ def psychometrics(
     unit : str
         Of the stimulus, for the axis.
 
-    Returns
-    -------
-    array of Axes
-
     Raises
     ------
     ValueError
@@ -230,15 +226,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
 def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
     """Probability that the animal was engaged on each trial, given all of its answers.
 
-    Parameters
-    ----------
-    fit : StateFit
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-        Trials in the order of the table; dotted lines are where sessions begin.
+    Trials in the order of the table; dotted lines are where sessions begin.
 
     Examples
     --------
