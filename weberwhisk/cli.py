@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .commands import choices, experiments, fit, quickstart, raised_by_weberwhisk, whiskers
+from .commands import choices, experiments, quickstart, raised_by_weberwhisk, whiskers
 
 __all__ = ["COMMANDS", "app", "main", "new_app", "run_app"]
 
@@ -130,7 +130,7 @@ COMMANDS = {
     "calibrate": whiskers.calibrate,
     "locate": whiskers.locate,
     "simulate": choices.simulate,
-    "fit": fit.fit,
+    "fit": choices.fit,
     "design": experiments.design,
     "rehearse": experiments.rehearse,
     "analyse": experiments.analyse,

@@ -295,7 +295,7 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
     "angle-side-angle": lambda whisker: ww.cues.AngleSideAngle(),
     "two-whiskers": lambda whisker: ww.cues.TwoWhiskers(),
     "contact-and-detachment": lambda whisker: ww.cues.ContactAndDetachment(),
-    "vibration": lambda whisker: ww.cues.Vibration(3),
+    "vibration": lambda whisker: ww.cues.Vibration(),
     "space-map": lambda whisker: ww.cues.SpaceMap(),
     "balance-of-moments": lambda whisker: ww.cues.BalanceOfMoments(),
     "felt-effort": lambda whisker: ww.cues.BalanceOfMoments(effort=None),

@@ -18,18 +18,6 @@ from . import a_seed, numbers, progress
 
 __all__ = ["bend", "calibrate", "curve_in_steps", "jnd", "locate"]
 
-#: Column of `bend`'s table: attribute of `Bending`, and its unit in SI.
-_BENDING_COLUMNS = {
-    "arc_length_mm": ("arc_length", 1e-3),
-    "force_micronewton": ("force", 1e-6),
-    "radial_distance_mm": ("radial_distance", 1e-3),
-    "deflection_angle_deg": ("deflection_angle", np.pi / 180),
-    "contact_angle_deg": ("contact_angle", np.pi / 180),
-    "moment_micronewton_metre": ("moment", 1e-6),
-    "axial_force_micronewton": ("axial_force", 1e-6),
-    "transverse_force_micronewton": ("transverse_force", 1e-6),
-}
-
 
 @opt.command
 def bend(
@@ -73,14 +61,21 @@ def bend(
     checks.positive(opt.option(names[0]), where, "give millimetres, such as 35")
     checks.finite(opt.option(names[1]), much, "give a number, such as 20")
     where, much = (grid.ravel() for grid in np.meshgrid(where, much, indexing="ij"))
-    units = [_BENDING_COLUMNS[name][1] for name in names]
+    of = {  # column: attribute of `Bending`, and its unit in SI
+        "arc_length_mm": ("arc_length", 1e-3),
+        "force_micronewton": ("force", 1e-6),
+        "radial_distance_mm": ("radial_distance", 1e-3),
+        "deflection_angle_deg": ("deflection_angle", np.pi / 180),
+        "contact_angle_deg": ("contact_angle", np.pi / 180),
+        "moment_micronewton_metre": ("moment", 1e-6),
+        "axial_force_micronewton": ("axial_force", 1e-6),
+        "transverse_force_micronewton": ("transverse_force", 1e-6),
+    }
+    units = [of[name][1] for name in names]
     with Run(out, "bend", options, seed) as run:
         call = ww.press if names[0] == "radial_distance_mm" else ww.bend
         bending = call(whisker, where * units[0], much * units[1], model=model)
-        columns = {
-            name: getattr(bending, attribute) / unit
-            for name, (attribute, unit) in _BENDING_COLUMNS.items()
-        }
+        columns = {name: getattr(bending, field) / unit for name, (field, unit) in of.items()}
         # What was asked stays as it was written, also where there is no equilibrium.
         columns |= dict(zip(names, (where, much), strict=True))
         columns["outcome"] = [ww.Outcome(o).name.lower() for o in np.asarray(bending.outcome)]
