@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 
 from weberwhisk import Whisker
 from weberwhisk.mechanics import Profile
-from weberwhisk.mechanics.modes import BASIS, basis, gauss, one_profile, ritz
+from weberwhisk.mechanics.modes import basis, gauss, one_profile, ritz
 
 Array = np.ndarray
 
@@ -145,7 +145,7 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
             f"radial_distance must be on the whisker of {length:g} m, got {r:g}; give metres."
         )
     r = min(r, length)
-    omega, shapes = ritz(profile, BASIS, BASIS // 2, r)
+    omega, shapes = ritz(profile, 60, 30, r)
     s, weight = gauss(np.append(profile.arc, r), 80)
     stiffness, mass = profile.stiffness(s), weight * profile.line_density(s)
     inner = np.where(s < r, r - s, 0.0)
@@ -154,7 +154,7 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
     c = r / float(inner @ bent)
     static = s - c * np.array([bent[s < x] @ (x - s[s < x]) for x in s])
     rayleigh = np.sqrt(c * r / float(mass @ static**2))
-    modal = mass * (shapes.T @ basis(s / length, BASIS, 0))
+    modal = mass * (shapes.T @ basis(s / length, len(shapes), 0))
     excitation = omega * (modal @ static) * (modal @ (s - static)) / (c * r)
     turn = 2 * np.pi
     return QuasiStatic(float(omega[0]) / turn, float(rayleigh) / turn, omega, excitation)

@@ -15,7 +15,7 @@ from scipy.stats import kstest, powerlaw, uniform
 
 import weberwhisk as ww
 from weberwhisk import Status, cues, receptors
-from weberwhisk.array.follicles import ROLL, WhiskerArray, published
+from weberwhisk.array.follicles import TURNS, WhiskerArray, published
 from weberwhisk.mechanics.shape import Spiral
 
 # C2 by hand, from the equations as printed, with r = 3 and c = 3.
@@ -78,7 +78,7 @@ def test_protraction_turns_rostrally_and_rolls_by_row() -> None:
         after = forward.whiskers[name]
         assert after.direction[1] > before.direction[1]
         assert after.swept == 0.5
-        assert np.isclose(after.roll - before.roll, 0.5 * ROLL["ABCDE".index(name[0])])
+        assert np.isclose(after.roll - before.roll, 0.5 * TURNS[name[0]][1])
     assert rest.protract(0.2).protract(0.3) == forward
     assert rest.only(["C2"]).whiskers.keys() == {"C2"}
 

@@ -20,15 +20,15 @@ from ..mechanics.shape import Profile, Spiral
 from ..whisker import SPECIES, Whisker, rest_shape
 from ..whisker import identities as known_identities
 
-__all__ = ["ROLL", "Follicle", "Published", "WhiskerArray", "published"]
+__all__ = ["TURNS", "Follicle", "Published", "WhiskerArray", "published"]
 
-ROWS = "ABCDE"
 _RADIANS = "give radians, such as 0.5"
 #: Degrees of elevation and of roll that come with each degree of protraction, row by row (Knutsen,
 #: Biess & Ahissar 2008, Neuron 59:35, as Hobbs et al. 2016, PLoS Comput Biol 12:e1004109, print
 #: them): sd over whiskers ± 0.05 to 0.3. The rotations of a public simulator differ by up to 0.3.
-ELEVATION = (0.12, 0.30, 0.30, 0.14, 0.02)
-ROLL = (-0.76, -0.25, 0.22, 0.43, 0.73)
+TURNS = {
+    "A": (0.12, -0.76), "B": (0.30, -0.25), "C": (0.30, 0.22), "D": (0.14, 0.43), "E": (0.02, 0.73),
+}  # fmt: skip
 
 
 class Published(NamedTuple):
@@ -61,10 +61,6 @@ def published(identity: str, species: str = "rat") -> Published:
         Row and column, such as ``"C2"``.
     species : {"rat", "mouse"}
 
-    Returns
-    -------
-    Published
-
     Raises
     ------
     ValueError
@@ -88,7 +84,7 @@ def published(identity: str, species: str = "rat") -> Published:
     (-8.4, 27.8, 61.6)
     """
     one_of("whisker", identity, known_identities(species))
-    r, c = ROWS.index(identity[0]) + 1, int(identity[1:]) + 1
+    r, c = "ABCDE".index(identity[0]) + 1, int(identity[1:]) + 1
     if species == "rat":
         theta, phi = 13.4 * c - 48.6, 1.49 * r**2 - 26.3 * r + 68.0
         return Published(
@@ -317,11 +313,11 @@ class WhiskerArray(Shown, Value):
         return f"{self.species}, {many} on {where}, {pose}"
 
     def _follicle(self, identity: str, side: str) -> Follicle:
-        at, row = published(identity, self.species), ROWS.index(identity[0])
+        at, (rise, turn) = published(identity, self.species), TURNS[identity[0]]
         theta, phi = np.radians([at.theta, at.phi])
         base = np.array([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)])
         base *= at.radius * 1e-3 * np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
-        roll = np.radians(at.roll) + ROLL[row] * self.protraction
+        roll = np.radians(at.roll) + turn * self.protraction
         whisker: Any = Whisker.from_identity(identity, species=self.species)
         if self.curved:
             bow, rate = (-v * np.cos(roll) for v in rest_shape(identity, self.species))
@@ -332,7 +328,7 @@ class WhiskerArray(Shown, Value):
             whisker,
             base,
             float(np.radians(at.azimuth) + self.protraction),
-            float(np.radians(at.elevation) + ELEVATION[row] * self.protraction),
+            float(np.radians(at.elevation) + rise * self.protraction),
             float(roll),
             self.protraction,
         )

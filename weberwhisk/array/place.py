@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
+from itertools import islice, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,10 +39,6 @@ def place(
         Error of means and sds, in sds, at which the grid is fine enough.
     seed : int, SeedSequence or Generator
         Of the draws from which the grid starts.
-
-    Returns
-    -------
-    Place
 
     Raises
     ------
@@ -248,9 +244,8 @@ class Place(Shown):
 #: Gauss and Legendre's rule of each side of a cell.
 _X, _W = np.polynomial.legendre.leggauss(4)
 _X, _W = (_X + 1) / 2, _W / 2
-_POINTS = np.stack(np.meshgrid(_X, _X, indexing="ij"), axis=-1).reshape(-1, 2)
+_POINTS = np.array([*product(_X, _X)])
 _WEIGHTS = np.outer(_W, _W).ravel()
-_QUARTERS = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
 
 
 class Frame(NamedTuple):
@@ -401,8 +396,8 @@ def _cut(cells: _Cells, cut: Flags, made: Callable[[Array, Array], _Cells], top:
     """The same with some cells in four."""
     old = cells.of(cut)
     side = np.repeat(old.side / 2, 4, axis=0)
-    low = np.repeat(old.low, 4, axis=0) + side * 2 * np.tile(_QUARTERS, (len(old.low), 1))
-    quarters = made(low, side)
+    corner = np.tile([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], (len(old.low), 1))
+    quarters = made(np.repeat(old.low, 4, axis=0) + side * corner, side)
     sums = _monomials(quarters, top).reshape(-1, 4, 6).sum(axis=1)
     apart = (sums - _monomials(old, top)) / 2
     quarters = quarters._replace(

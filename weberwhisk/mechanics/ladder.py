@@ -170,10 +170,6 @@ def flick_past(
         As for `press`, where it makes no difference: out of the plane of curvature, follow the
         outcomes of `press` as the deflection angle grows.
 
-    Returns
-    -------
-    FlickPast
-
     Raises
     ------
     ValueError
@@ -276,10 +272,6 @@ def press_by(
     whisker, radial_distance, deflection_angle, friction_angle, roll
         As for `press`.
     model : Model
-
-    Returns
-    -------
-    Bending
     """
     r, theta, tilt, turn = _scene(radial_distance, deflection_angle, friction_angle, roll)
     if model == Model.ROD:

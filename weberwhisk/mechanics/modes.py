@@ -25,9 +25,7 @@ from .._util.values import Array, Line
 from ..whisker import Whisker
 from .shape import Profile
 
-__all__ = ["BASIS", "Modes", "basis", "gauss", "modes", "one_profile", "ritz"]
-
-BASIS = 60
+__all__ = ["Modes", "basis", "gauss", "modes", "one_profile", "ritz"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,7 +84,7 @@ class Modes(Line):
         return self._inertia(0)
 
     def _inertia(self, power: int) -> Array:
-        s, weight = gauss(self.profile.arc, BASIS)
+        s, weight = gauss(self.profile.arc, self.coefficients.shape[1])
         load = self.profile.line_density(s) * weight * s**power
         return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
 
@@ -113,10 +111,6 @@ def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
     count : int
         How many modes, up to 12.
 
-    Returns
-    -------
-    Modes
-
     Raises
     ------
     ValueError
@@ -131,8 +125,7 @@ def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
     profile = one_profile(whisker, "modes")
     if not 1 <= (count := whole("count", count, "write count=5", least=0)) <= 12:
         raise ValueError(f"count must be 1 to 12, got {count}; write count=5.")
-    pieces = int(np.sum(np.diff(profile.arc) > 0))
-    size = BASIS if pieces == 1 else BASIS + 10
+    size = 60 if np.sum(np.diff(profile.arc) > 0) == 1 else 70
     omega, vectors = ritz(profile, size, count)
     coarse, _ = ritz(profile, 3 * size // 4, count)
     error = np.abs(coarse / omega - 1) + 1e-12

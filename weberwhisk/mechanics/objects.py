@@ -102,10 +102,6 @@ def sweep(
     travel : array (n,)
         In place of angles how far the base has moved towards −y, m.
 
-    Returns
-    -------
-    Sweep
-
     Raises
     ------
     ValueError

@@ -173,10 +173,15 @@ class TouchedBody:
 
     def next_touch(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
         """None if this touch is valid, else what it turns into, or what it ends by."""
-        change = self._change(touch, found)
-        if change is None and self.rows.law and self._overlap(touch, found, at) > OVERLAP:
-            return Outcome.TOUCHES_TWICE
-        return change
+        first, force = found.point
+        if not touch.tip and first > 1 + 1e-9:
+            return Outcome.SLIPPED_OFF_TIP
+        if force < -1e-9:
+            return Outcome.OUT_OF_REACH
+        if touch.tip and first < -1e-9:
+            return Touch(False)
+        twice = self.rows.law and self._overlap(touch, found, at) > OVERLAP
+        return Outcome.TOUCHES_TWICE if twice else None
 
     def _overlap(self, touch: Touch, found: TouchSolution, at: float) -> float:
         """How deep in the object the whisker lies elsewhere: a straight one never does."""
@@ -188,14 +193,6 @@ class TouchedBody:
         arc = np.unique(np.concatenate(ends))
         _, x, y = bent_shape(self.profile, arc, held, push, tilt) / float(whisker.length)
         return self.depth(x, y, at)
-
-    def _change(self, touch: Touch, found: TouchSolution) -> Touch | Outcome | None:
-        v = found.point
-        if not touch.tip and v[0] > 1 + 1e-9:
-            return Outcome.SLIPPED_OFF_TIP
-        if v[1] < -1e-9:
-            return Outcome.OUT_OF_REACH
-        return Touch(False) if touch.tip and v[0] < -1e-9 else None
 
     def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
         """Pose in the range, touch and start of the first contact, the whisker at rest."""
@@ -226,7 +223,9 @@ class TouchedBody:
         for at in np.flatnonzero(needed <= first + 1e-10):
             arc = float(np.interp(out[at], along[:top], s[:top]))
             tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
-            tilt = float(_turn(self._tangent_at(places[:, at]) + turned - tangent))
+            x, y = places[:, at] - self.corners[0]
+            edge = self.edge if self.is_wall else np.arctan2(-x, y)
+            tilt = float(_turn(edge + turned - tangent))
             flat = abs(tilt) < 1e-6
             is_peg = not self.is_wall and self.radius == 0
             if arc > 1 - 1e-6 and 1e-6 < tilt < np.pi / 2 and not is_peg:
@@ -270,12 +269,6 @@ class TouchedBody:
             return np.empty(0)
         half = np.arcsin(share)
         return at + np.array([half, np.pi - half])
-
-    def _tangent_at(self, place: Array) -> float:
-        if self.is_wall:
-            return self.edge
-        out = place - self.corners[0]
-        return float(np.arctan2(-out[0], out[1]))
 
 
 def _turn(angle: Any) -> Any:

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, non_negative, number
-from .._util.values import Array, Flags, Index
+from .._util.values import Array
 from .gaussian import GeneralisedWeber, Proportional
 from .protocol import ReceptorNoise, Seed
 
 __all__ = ["Events", "LogNormal"]
-
-#: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
-_SIDE = 1e5
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -107,12 +104,13 @@ class LogNormal(Proportional):
         return self._logs.gaussian_root(size)
 
     def as_gaussian(self, signals: Array) -> tuple[Array, Array]:
-        return self._centre(signals) + _SIDE * (signals < 0), self._logs.sd(signals)
+        # So far apart that no reading is of a signal of the other sign.
+        return self._centre(signals) + 1e5 * (signals < 0), self._logs.sd(signals)
 
     def to_gaussian(self, reading: Array) -> tuple[Array, Array]:
         with np.errstate(divide="ignore"):
             log = np.log(np.abs(reading))
-        return log + _SIDE * (reading < 0), -log.sum(axis=-1)
+        return log + 1e5 * (reading < 0), -log.sum(axis=-1)  # as `as_gaussian` has them
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         signals = np.asarray(signals, dtype=float)
@@ -244,8 +242,10 @@ class Events(ReceptorNoise):
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln of the chance of a report (..., R), shape (...); −∞ for what reports no event."""
-        event, known = self._event(reading)
-        log = self._log_chances(signals)
+        same = (np.asarray(reading, dtype=float)[..., None, :] == self.reports).all(axis=-1)
+        event, known = same.argmax(axis=-1), same.any(axis=-1)
+        with np.errstate(divide="ignore"):
+            log = np.log(self.chances(signals))
         shape = np.broadcast_shapes(event.shape, log.shape[:-1])
         log = np.broadcast_to(log, (*shape, log.shape[-1]))
         at = np.broadcast_to(event, shape)[..., None]
@@ -264,12 +264,3 @@ class Events(ReceptorNoise):
         size = chance.shape[-1] - 1
         own = np.eye(size) / chance[..., None, :-1]
         return np.asarray((1 - self.misreport) ** 2 * (own + 1 / chance[..., -1:, None]))
-
-    def _log_chances(self, signals: ArrayLike) -> Array:
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(self.chances(signals)))
-
-    def _event(self, reading: ArrayLike) -> tuple[Index, Flags]:
-        """Which event each reading (..., R) reports, and whether it reports one."""
-        same = (np.asarray(reading, dtype=float)[..., None, :] == self.reports).all(axis=-1)
-        return same.argmax(axis=-1), same.any(axis=-1)

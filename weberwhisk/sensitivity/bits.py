@@ -30,9 +30,6 @@ __all__ = [
     "prior_draws",
 ]  # fmt: skip
 
-#: Distances at which the prior is known.
-_PLACES = 20_000
-
 
 class Bits(NamedTuple):
     """Information in bits, and its Monte Carlo error."""
@@ -49,7 +46,7 @@ class DistancePrior:
 
     def __init__(self, observer: Observer) -> None:
         self.low, self.high = observer.reach
-        self.r = np.linspace(self.low, self.high, _PLACES + 1)
+        self.r = np.linspace(self.low, self.high, 20_001)
         # At the ends themselves there is no contact: what is next to them tells.
         inside = np.clip(self.r, np.nextafter(self.low, 1.0), np.nextafter(self.high, 0.0))
         density = distance_prior(observer, inside)
@@ -94,10 +91,6 @@ def information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) ->
     n_readings : int
         Contacts drawn from the prior, with a reading each.
     seed : int, SeedSequence or Generator
-
-    Returns
-    -------
-    Bits
 
     Raises
     ------
