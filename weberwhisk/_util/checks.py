@@ -42,10 +42,8 @@ def angle(name: str, value: ArrayLike, hint: str) -> Array:
     array = finite(name, value, hint)
     if np.any(beyond := np.abs(array) > 2 * np.pi):
         at = _first(array, beyond)
-        warn(
-            f"{name} is in radians, got {at}: did you pass degrees? Write np.radians({at}).",
-            stacklevel=3,
-        )
+        said = f"{name} is in radians, got {at}: did you pass degrees? Write np.radians({at})."
+        warn(said, stacklevel=3)
     return array
 
 
@@ -54,10 +52,8 @@ def distance(name: str, value: ArrayLike, hint: str) -> Array:
     array = positive(name, value, hint)
     if np.any(beyond := array > 1.0):
         at = float(_first(array, beyond))
-        warn(
-            f"{name} is in metres, got {at:g}: did you pass millimetres? Write {at:g}e-3.",
-            stacklevel=3,
-        )
+        said = f"{name} is in metres, got {at:g}: did you pass millimetres? Write {at:g}e-3."
+        warn(said, stacklevel=3)
     return array
 
 

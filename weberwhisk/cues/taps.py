@@ -301,9 +301,7 @@ class Vibration(Cue):
         return self.noise(0.1, 0.05 if self.impulse is None else 0.1 * self.impulse)
 
 
-@lru_cache(maxsize=32)
-def _modes(whisker: Whisker, count: int) -> modes.Modes:
-    return modes.modes(whisker, count)
+_modes = lru_cache(maxsize=32)(modes.modes)
 
 
 @lru_cache(maxsize=32)

@@ -49,8 +49,6 @@ CAUTION = 4.0
 #: Rows of the state. The derivatives of χ and of X to contact arc and to force, −sin χ, cos χ and
 #: X: these `FED` are what the right side depends on. −Y and its derivatives: on these it does not.
 FED, ROWS_OF_STATE = 7, 10
-#: Steps a piece at most.
-MOST = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,17 +372,18 @@ def resolve(
     """`follow` with as many steps as each row needs for an error below `tolerance`.
 
     The error estimate of a pilot of few steps, or of `steps`, says how many are needed. Rows
-    that `MOST` steps do not resolve keep their error; no warning is raised.
+    that 256 steps a piece do not resolve keep their error; no warning is raised.
     """
     bound = np.broadcast_to(np.asarray(tolerance, dtype=float), arc.size)
     wanted = np.full(arc.size, pilot(rows)) if steps is None else steps
     path = follow_each(rows, arc, force, friction, wanted)
     while True:
-        left = np.flatnonzero((path.error > bound) & (path.steps < MOST))
+        left = np.flatnonzero(path.error > bound)
+        wanted = needed(path.steps[left], path.error[left], bound[left])
+        more = wanted > path.steps[left]
+        left, wanted = left[more], wanted[more]
         if not left.size:
             return path
-        wanted = needed(path.steps[left], path.error[left], bound[left])
-        wanted = np.maximum(wanted, path.steps[left] + 1)
         path.put(left, follow_each(rows.take(left), arc[left], force[left], friction[left], wanted))
 
 
@@ -395,7 +394,7 @@ def needed(steps: NDArray[np.int64], error: Array, bound: Array) -> NDArray[np.i
     # as every count costs a pass.
     coarse = 0.5 if steps.size > 400 else 2.0
     exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (1 / 8)) / coarse) * coarse
-    return np.clip(np.ceil(np.exp2(exponent)), 1, MOST).astype(np.int64)
+    return np.clip(np.ceil(np.exp2(exponent)), 1, 256).astype(np.int64)
 
 
 def pilot(rows: Rows) -> int:

@@ -382,15 +382,8 @@ def _share(ends: Sequence[tuple[float, float]], given: Sequence[Array]) -> list[
     ]
 
 
-@lru_cache(maxsize=64)
-def curved_surface(
-    whisker: Whisker | Profile,
-    friction: tuple[float, float],
-    offset: tuple[float, float],
-    in_space: bool = False,
-) -> CurvedSurface:
-    """The surface of a whisker, kept for its next contacts."""
-    return CurvedSurface(whisker, friction, offset, in_space=in_space)
+#: The surface of a whisker, kept for its next contacts.
+curved_surface = lru_cache(maxsize=64)(CurvedSurface)
 
 
 def more_curved(profile: Profile, offset: Array) -> Profile:

@@ -475,7 +475,5 @@ class Surface:
         return out, outcome.astype(np.int8)
 
 
-@lru_cache(maxsize=64)
-def surface_of(whisker: Whisker) -> Surface:
-    """The surface of a whisker, kept for its next contacts."""
-    return Surface(whisker)
+#: The surface of a whisker, kept for its next contacts.
+surface_of = lru_cache(maxsize=64)(Surface)

@@ -164,7 +164,9 @@ class ForwardModel(Value):
     def surface(self) -> Surface | CurvedSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            return curved_surface(self.whisker, self.friction_range, self.offset_range, True)
+            return curved_surface(
+                self.whisker, self.friction_range, self.offset_range, in_space=True
+            )
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
         return curved_surface(self.clamped.whisker, self.friction_range, self.offset_range)
