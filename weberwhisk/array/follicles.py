@@ -1,8 +1,4 @@
-"""Where whiskers stand on the face, and where they point: the array of the rat and of the mouse.
-
-Head coordinates, m: x to the right, y rostral, z dorsal; the origin is the mean of all base points.
-The azimuth of a whisker is 0 where it points caudally, 90° to the side, 180° rostrally.
-"""
+"""Where whiskers stand on the face, and where they point: the array of the rat and of the mouse."""
 
 from __future__ import annotations
 
@@ -322,13 +318,7 @@ class WhiskerArray(Shown, Value):
         if self.curved:
             bow, rate = (-v * np.cos(roll) for v in rest_shape(identity, self.species))
             whisker = Profile.of(whisker).curved(Spiral(bow, rate))
-        return Follicle(
-            identity,
-            side,
-            whisker,
-            base,
-            float(np.radians(at.azimuth) + self.protraction),
-            float(np.radians(at.elevation) + rise * self.protraction),
-            float(roll),
-            self.protraction,
-        )
+        azimuth = float(np.radians(at.azimuth) + self.protraction)
+        elevation = float(np.radians(at.elevation) + rise * self.protraction)
+        place = base, azimuth, elevation, float(roll)
+        return Follicle(identity, side, whisker, *place, self.protraction)

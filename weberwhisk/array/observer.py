@@ -16,16 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util.checks import (
-    angle,
-    finite,
-    generator,
-    kind,
-    non_negative_number,
-    one_of,
-    positive_number,
-    shown,
-)
+from .._util import checks
 from .._util.values import Array, Fields
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
@@ -97,14 +88,18 @@ class ArrayObserver(Fields):
     region: ArrayLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        kind("array", self.array, "a WhiskerArray", "protract", 'write ww.WhiskerArray("rat"), say')
-        angle("angle_sd", non_negative_number("angle_sd", self.angle_sd, _RADIANS), _RADIANS)
-        if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
+        checks.kind(
+            "array", self.array, "a WhiskerArray", "protract", 'write ww.WhiskerArray("rat"), say'
+        )
+        checks.angle(
+            "angle_sd", checks.non_negative_number("angle_sd", self.angle_sd, _RADIANS), _RADIANS
+        )
+        if not checks.non_negative_number("missed", self.missed, "write 0.02, say") < 1:
             raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
         if self.pole_length is not None:
-            positive_number("pole_length", self.pole_length, "give metres, such as 5e-3")
+            checks.positive_number("pole_length", self.pole_length, "give metres, such as 5e-3")
         if self.region is not None:
-            box = finite("region", self.region, "give metres")
+            box = checks.finite("region", self.region, "give metres")
             if box.shape != (2, 2) or np.any(box[:, 0] >= box[:, 1]):
                 raise ValueError(
                     f"region must be two ends of x and two of y, got {box.tolist()}; "
@@ -184,7 +179,7 @@ class ArrayObserver(Fields):
         >>> [name for name, reading in readings.items() if reading is not None]
         ['C2']
         """
-        (at, level), rng = self._one(place), generator(seed)
+        (at, level), rng = self._one(place), checks.generator(seed)
         return {
             name: reading if rng.random() >= self.missed and name in level else None
             for name, reading in ((n, s.read(at, rng)) for n, s in self.sensors.items())
@@ -215,10 +210,10 @@ class ArrayObserver(Fields):
         if not isinstance(readings, Mapping) or not readings:
             raise ValueError(
                 "Readings are a mapping of whisker to reading, None where it does not touch, got "
-                f"{shown(readings)}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
+                f"{checks.shown(readings)}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
             )
         return {
-            one_of("whisker", name, self.sensors): None
+            checks.one_of("whisker", name, self.sensors): None
             if reading is None
             else self.sensors[name].checked(name, reading)
             for name, reading in readings.items()

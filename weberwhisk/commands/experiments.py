@@ -101,28 +101,16 @@ def design(
         bayes_factor, half_width = (None, 0.2) if question == "precision" else (10.0, None)
     with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
-            whisker,
-            question=question,
-            goal=Goal(bayes_factor, half_width, share),
+            whisker, question=question, goal=Goal(bayes_factor, half_width, share),
             standards=standards * 1e-3 if standards.size else None,
-            levels=checks.finite("--level", levels, "write -1,1, say"),
-            best=best,
-            trials=trials,
-            animals=animals,
-            find=find,
+            levels=checks.finite("--level", levels, "write -1,1, say"), best=best,
+            trials=trials, animals=animals, find=find,
             expected=SubjectPopulation(weber_fraction, spread, lapse),
             constraints=_constraints(nearest_mm, farthest_mm, step_mm),
-            trials_per_session=trials_per_session,
-            together=False if apart else None,
-            title=title,
-            runs=runs,
-            task=task,
-            seed=seed,
-            workers=all_cores(workers, scheduler),
-            scheduler=scheduler,
-            progress=(lambda done: None) if as_json else None,
-            **encoded,
-        )
+            trials_per_session=trials_per_session, together=False if apart else None, title=title,
+            runs=runs, task=task, seed=seed, workers=all_cores(workers, scheduler),
+            scheduler=scheduler, progress=(lambda done: None) if as_json else None, **encoded,
+        )  # fmt: skip
         if run.out_dir is not None:
             from ..plots.designs import fill
 
@@ -223,14 +211,9 @@ def rehearse(
     with Run(out, "rehearse", inputs, seed) as run:
         stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
         found = ww.simulate_study(
-            plan,
-            runs,
-            seed=seed,
-            workers=all_cores(workers, scheduler),
-            scheduler=scheduler,
-            out=stream,
-            progress=(lambda done: None) if as_json else None,
-        )
+            plan, runs, seed=seed, workers=all_cores(workers, scheduler), scheduler=scheduler,
+            out=stream, progress=(lambda done: None) if as_json else None,
+        )  # fmt: skip
         run.table("rehearsal", found.runs)
         run.table("rehearsal_summary", found.table)
         if run.out_dir is not None:

@@ -44,11 +44,9 @@ def quickstart(
         rat = rat_choices(run, seed, as_json)
         numbers = {
             "whisker": {"identity": identity, **describe(whisker)},
-            "weber_fraction": weber_fraction,
-            "jnd_curve": curve,
-            "jnd_surface": surface,
+            "weber_fraction": weber_fraction, "jnd_curve": curve, "jnd_surface": surface,
             "rat": rat,
-        }
+        }  # fmt: skip
         text = explanation(identity, whisker, weber_fraction, draws, numbers)
         atomic_write(run.path("rat_report.txt"), rat["report"])
         atomic_write(run.path("quickstart.txt"), text)

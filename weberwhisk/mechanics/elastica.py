@@ -29,7 +29,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from .._util.checks import refuse_hinge
-from .._util.values import Array, Codes, Flags
+from .._util.values import Array, Codes, Flags, member
 from ..whisker import Whisker
 from .contact import (
     TIP_ROUNDING,
@@ -311,7 +311,7 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
 
     return FlickPast(
         angle.reshape(shape)[()],
-        ended if shape else Outcome(int(ended)),
+        member(Outcome, ended),
         at(np.where(beyond, 0.0, angle)),
         at(peak_angle),
     )

@@ -118,15 +118,10 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
         return numbers, outcome, error
     sign = np.where(theta < rest, -1.0, 1.0)[good]
     part = rows.take(good).mirrored(sign)
-    distance, angle, psi_, start, rest = (
-        r[good],
-        theta[good] * sign,
-        psi[good],
-        start[good],
-        (rest[good] * sign),
-    )
+    distance, angle, psi_ = r[good], theta[good] * sign, psi[good]
+    push = angle - rest[good] * sign
     s, f, path, rest_error, found = _newton(
-        part, distance, angle, psi_, start, angle - rest, tolerance
+        part, distance, angle, psi_, start[good], push, tolerance
     )
     values = numbers_of(path.angle, path.lever, path.along, s, f, psi_, sign)
     error[good] = np.minimum(signal_error(path, f, given_contact=True) + rest_error, 1.0)
@@ -146,9 +141,8 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
         # Where no sliding contact gets, one without friction may hold: then friction holds it.
         folded = good[hard[(ended.end == FOLD) & (psi_[hard] != 0)]]
         if folded.size:
-            slick = press_rows(rows.take(folded), r[folded], theta[folded], 0 * folded, tolerance)[
-                1
-            ]
+            of = rows.take(folded), r[folded], theta[folded]
+            _, slick, _ = press_rows(*of, 0 * r[folded], tolerance)
             outcome[folded[slick == Outcome.HELD]] = Outcome.STUCK
     held = outcome[good] == Outcome.HELD
     numbers[:, good] = np.where(held, values, np.nan)

@@ -331,27 +331,19 @@ def _press_in_space(
     whole = Profile.of(whisker)
     azimuth, height = _first_touch(whole, r, roll)
     height, push = np.nan_to_num(height), theta - azimuth  # out of reach it is, at any height
-    place = [np.cos(height) * np.cos(theta), np.cos(height) * np.sin(theta), np.sin(height)]
-    point = r[..., None] * np.stack(np.broadcast_arrays(*place), axis=-1)
+    direction = [np.cos(height) * np.cos(theta), np.cos(height) * np.sin(theta), np.sin(height)]
+    point = r[..., None] * np.stack(np.broadcast_arrays(*direction), axis=-1)
     # A point alone does not distinguish more than half a turn from the rest of a whole one.
     b = _module("rod").press(whole, point, tilt, plane=roll, round_back=np.abs(push) > np.pi)
     # The tangent is within half a turn of the line to the contact, on whichever turn that is.
     slant = np.arctan2(b.tangent[..., 1], b.tangent[..., 0]) - theta
-    shape = np.shape(b.error)
+    slant = theta + (slant + np.pi) % (2 * np.pi) - np.pi
+    r, theta = (np.broadcast_to(v, np.shape(b.error))[()] for v in (r, theta))
+    size = np.where(push < 0, -1.0, 1.0) * b.magnitude
     return Bending(
-        b.moment[..., 2],
-        b.axial_force,
-        b.force[..., 1],
-        np.broadcast_to(r, shape)[()],
-        np.broadcast_to(theta, shape)[()],
-        theta + (slant + np.pi) % (2 * np.pi) - np.pi,
-        b.arc_length,
-        np.where(push < 0, -1.0, 1.0) * b.magnitude,
-        b.outcome,
-        b.model,
-        b.error,
-        whole.whisker,
-    )
+        b.moment[..., 2], b.axial_force, b.force[..., 1], r, theta, slant, b.arc_length, size,
+        b.outcome, b.model, b.error, whole.whisker,
+    )  # fmt: skip
 
 
 def _module(name: str) -> Any:

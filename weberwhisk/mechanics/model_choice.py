@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.checks import finite, positive
-from .._util.values import Array, Codes, Line
+from .._util.values import Array, Codes, Line, member
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
 from .contact import Model, Outcome, friction
 from .equilibrium import common_shape
@@ -175,14 +175,9 @@ def choose_model(
     scene = whisker, r, theta, tilt, turn
     error, off = _biases(scene, top, [NAMES.index(_SENSED[name]) for name in names], unknowns)
     bias = error if weber_fraction is None else off / k
-    model = np.argmax(bias <= allowed, axis=0).astype(np.int8)
-    return Choice(
-        model if shape else Model(int(model)),
-        np.moveaxis(error, 0, -1),
-        np.moveaxis(bias, 0, -1),
-        tolerance,
-        SIGNAL_UNIT if weber_fraction is None else "JND",
-    )
+    model = member(Model, np.argmax(bias <= allowed, axis=0).astype(np.int8))
+    unit = SIGNAL_UNIT if weber_fraction is None else "JND"
+    return Choice(model, np.moveaxis(error, 0, -1), np.moveaxis(bias, 0, -1), tolerance, unit)
 
 
 def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:

@@ -74,14 +74,8 @@ def bend(
         numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
         good = in_order(rows, s, on_whisker(rows, s))
-        rows, s, f, psi, sign = (
-            rows.take(good).mirrored(sign[good]),
-            np.minimum(s[good], 1.0),
-            np.abs(f[good]),
-            psi[good],
-            sign[good],
-        )
-        path = resolve(rows, s, f, psi, tolerance)
+        s, f, psi, sign = np.minimum(s[good], 1.0), np.abs(f[good]), psi[good], sign[good]
+        path = resolve(rows.take(good).mirrored(sign), s, f, psi, tolerance)
         outcome[good] = np.select(
             [~(path.error <= np.maximum(tolerance, 1e-4)) | (path.flips > 1), path.flips == 1],
             [Outcome.FLICKED_PAST, Outcome.PAST_FOLD],

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, positive
-from .._util.values import Array, Codes, Fields, Flags, Index
+from .._util.values import Array, Codes, Fields, Flags, Index, member
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, STAGES, Piece, Rows, pilot, zero_load
 from .contact import TOLERANCE, Model, Outcome, friction
@@ -205,8 +205,8 @@ def _result(scenes: RodScenes, v: Array, base: Base, outcome: Codes, error: Arra
         scalar(v[0] * scenes.length),
         scalar(np.hypot(v[1], v[2]) * scenes.force),
         scalar(np.arctan2(v[2], v[1])),
-        outcome.reshape(scenes.shape) if scenes.shape else Outcome(int(outcome[0])),
-        np.full(scenes.shape, Model.ROD, dtype=np.int8) if scenes.shape else Model.ROD,
+        member(Outcome, outcome.reshape(scenes.shape)),
+        member(Model, np.full(scenes.shape, Model.ROD, dtype=np.int8)),
         scalar(error),
         scenes.whisker,
     )

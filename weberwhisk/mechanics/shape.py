@@ -193,21 +193,11 @@ class Profile(Value):
     law: Law
 
     def __post_init__(self) -> None:
-        kind(
-            "whisker",
-            self.whisker,
-            "a Whisker",
-            "stiffness",
-            "write ww.mechanics.Profile.of(whisker)",
-        )
+        hint = "write ww.mechanics.Profile.of(whisker)"
+        kind("whisker", self.whisker, "a Whisker", "stiffness", hint)
         refuse_hinge(self.whisker, "A Profile")
-        kind(
-            "law",
-            self.law,
-            "a Spiral or a Parabola",
-            "turn",
-            "write ww.mechanics.Spiral(20.0), say",
-        )
+        hint = "write ww.mechanics.Spiral(20.0), say"
+        kind("law", self.law, "a Spiral or a Parabola", "turn", hint)
         tables = {name: finite(name, getattr(self, name), _METRES) for name in _TABLES}
         self._set(**tables)
 
@@ -217,17 +207,10 @@ class Profile(Value):
         if isinstance(whisker, Profile):
             return whisker
         kind("whisker", whisker, "a Whisker", "taper", "write ww.Whisker(50e-3, 100e-6, 5e-6), say")
-        length, base, tip = np.broadcast_arrays(
-            whisker.length, whisker.base_radius, whisker.tip_radius
-        )
-        radius = np.stack([base, tip]).astype(float)
-        return cls(
-            whisker,
-            np.stack([np.zeros_like(length), length]).astype(float),
-            radius,
-            np.zeros_like(radius),
-            Spiral(whisker.curvature),
-        )
+        ends = (0.0, whisker.length, whisker.base_radius, whisker.tip_radius)
+        table = np.stack(np.broadcast_arrays(*ends)).astype(float)
+        arc, radius = table[:2], table[2:]
+        return cls(whisker, arc, radius, np.zeros_like(radius), Spiral(whisker.curvature))
 
     @classmethod
     def tabulated(

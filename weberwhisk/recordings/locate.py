@@ -39,18 +39,7 @@ from .columns import (
     signals_of,
     values_of,
 )
-from .mixture import (
-    SPREAD,
-    USUAL,
-    Cases,
-    Learnt,
-    cases_of,
-    learn,
-    rows_of,
-    scaled,
-    touches_of,
-    usual_bow,
-)
+from .mixture import BELIEF, Cases, Learnt, cases_of, learn, rows_of, scaled, touches_of, usual_bow
 
 __all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_paragraph"]
 
@@ -350,10 +339,9 @@ def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Le
     scale = np.exp(np.log(learnt.factors).mean(axis=0))
     k = plain.noise.weber_fractions(size) * scale
     said = ", ".join(f"{v:.2g} of {n}" for v, n in zip(k, names, strict=True) if v > 0)
-    belief = f"{USUAL:g} with an sd of ln of {SPREAD:g}"
     how = (
-        f"was learnt from {learnt.said} (belief about k: {belief})" if learnt.said else
-        f"follows from nothing in this table: it is as believed of such tables (k {belief})"
+        f"was learnt from {learnt.said} (belief about k: {BELIEF})" if learnt.said else
+        f"follows from nothing in this table: it is as believed of such tables (k {BELIEF})"
     )  # fmt: skip
     return (
         f"The noise of the table's numbers was not given and {how}: k = {said}; "

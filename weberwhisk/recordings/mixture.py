@@ -33,6 +33,7 @@ from ..whisker import Assumed, usual_turn
 #: Belief about the Weber fraction of a table's signals: median, and sd of its ln. Forces on real
 #: tracked whiskers needed 0.2 to 0.3, simulated receptors have 0.1.
 USUAL, SPREAD = 0.2, 0.7
+BELIEF = f"{USUAL:g} with an sd of ln of {SPREAD:g}"
 #: Contacts along either axis on which noise is learnt, and rows from which it is.
 LATTICE, ROWS = 64, 48
 #: Values of what is not known of a whisker, in sds of its prior.
@@ -44,7 +45,7 @@ QUANTILES, ENDS = ndtr(inference_layers.SCORES), np.array([0.025, 0.975])
 SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
 
 __all__ = [
-    "SPANS", "SPREAD", "USUAL", "Case", "Cases", "Lattice", "Learnt", "Mixed", "cases_of",
+    "BELIEF", "SPANS", "Case", "Cases", "Lattice", "Learnt", "Mixed", "cases_of",
     "curvature_at", "learn", "rows_of", "scaled", "touches_of", "usual_bow",
 ]  # fmt: skip
 

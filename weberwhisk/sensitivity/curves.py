@@ -11,17 +11,7 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util import campaign
-from .._util.checks import (
-    angle,
-    distance,
-    finite,
-    generator,
-    one_of,
-    positive,
-    positive_number,
-    whole,
-)
+from .._util import campaign, checks
 from .._util.values import Array, Shown, pd, with_units
 from ..cues import Compliance, ForceMap
 from ..inference import Observer, default_noise
@@ -200,9 +190,9 @@ def jnd_curve(
     """
     from ..inference import Status, posterior
 
-    one_of("method", method, ("quadrature", "emcee", "laplace"))
+    checks.one_of("method", method, ("quadrature", "emcee", "laplace"))
     criterion_factor(criterion)
-    n_readings = whole("n_readings", n_readings, "write 200, say", least=2)
+    n_readings = checks.whole("n_readings", n_readings, "write 200, say", least=2)
     contact = _contact(observer, radial_distance, deflection_angle)
     signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
@@ -216,7 +206,7 @@ def jnd_curve(
         table[name] = np.where(held, jnd, np.nan)
     table[[*_JNDS[3:], "unreliable"]] = np.nan
     if held.any():
-        entropy = None if seed is None else int(generator(seed).integers(2**63))
+        entropy = None if seed is None else int(checks.generator(seed).integers(2**63))
         reading_seed, walker_seed = np.random.SeedSequence(entropy).spawn(2)
         readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
@@ -243,7 +233,7 @@ def jnd_curve(
 def _contact(
     observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None
 ) -> Array:
-    r = distance("radial_distance", radial_distance, "give metres, such as 30e-3")
+    r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3")
     if "deflection_angle" not in observer.unknowns:
         if deflection_angle is not None:
             raise ValueError(
@@ -255,7 +245,7 @@ def _contact(
             f"{observer.cue!r} needs the deflection angle of each contact, got none; "
             "write deflection_angle=np.radians(10), say."
         )
-    theta = angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
+    theta = checks.angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
     if np.any(theta <= 0):
         raise ValueError(
             "A contact deflects the whisker by more than 0, got deflection_angle="
@@ -374,11 +364,13 @@ def jnd_sweep(
     if any(np.ndim(value) for value in fields.values()):
         raise ValueError(f"A sweep has one whisker, got {whisker!r}; give its fields as numbers.")
     criterion_factor(criterion)
-    k = positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
-    r = distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
+    k = checks.positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
+    r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
     angles: list[float | None] = [None]
     if deflection_angle is not None:
-        angles = [*finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()]
+        angles = [
+            *checks.finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()
+        ]
     how = {"radial_distance": r.tolist(), "method": method, "criterion": criterion,
            "n_readings": n_readings}  # fmt: skip
     chunks: list[dict[str, Any]] = [
@@ -387,15 +379,9 @@ def jnd_sweep(
         for theta in angles
     ]
     return campaign.run(
-        jnd_rows,
-        chunks,
-        seed=seed,
-        workers=workers,
-        scheduler=scheduler,
-        out=out,
-        title="JNDs",
+        jnd_rows, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out, title="JNDs",
         progress=progress,
-    )
+    )  # fmt: skip
 
 
 def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
@@ -471,12 +457,14 @@ def touches_jnd(
     Mice tell pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer et al.
     2013, J Neurosci 33:6726).
     """
-    radial_distance = positive_number("radial_distance", radial_distance, "give metres")
-    angles = np.atleast_1d(finite("deflection_angles", deflection_angles, "give radians"))
+    radial_distance = checks.positive_number("radial_distance", radial_distance, "give metres")
+    angles = np.atleast_1d(checks.finite("deflection_angles", deflection_angles, "give radians"))
     if not angles.size:
         raise ValueError("deflection_angles must be one or more, got none; give radians.")
-    wanted = [whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)]
-    n_readings = whole("n_readings", n_readings, "write 100, say", least=2)
+    wanted = [
+        checks.whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)
+    ]
+    n_readings = checks.whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)
     place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
     rows = []
