@@ -384,11 +384,6 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
     )
 
 
-def _same(encoded: Encoded, last: Array) -> Encoded:
-    """What is encoded whatever the last unknown is."""
-    return encoded
-
-
 def is_curved(whisker: Any) -> bool:
     """Whether a Whisker or Profile is curved anywhere."""
     return any(np.any(value) for value in vars(Profile.of(whisker).law).values())
