@@ -396,6 +396,35 @@ def _times(ax: Any, ladder: pd.DataFrame) -> None:
     ax.legend(handles=kinds, loc="upper right")
 
 
+def conclusions(ladder: pd.DataFrame, rungs: pd.DataFrame) -> list[str]:
+    """Three sentences: which model which scene needs, where each fails, what more would cost.
+
+    At k = 0.1. A model fails in a scene where it moves the distance by more than 0.1 JND in more
+    than 5 % of the contact time.
+    """
+    at, models = ladder[ladder["weber_fraction"] == 0.1], rungs[rungs["weber_fraction"] == 0.1]
+    shares = [
+        f"{whisker}: " + ", ".join(f"{m} {s:.0%}" for m, s in own[list(NAMES)].mean().items() if s)
+        for whisker, own in at.groupby("whisker", sort=False)
+    ]
+    bad = models[models["model"].isin(NAMES) & ~(models["bias_95"] <= TOLERANCE)]
+    fails = []
+    for name, own in bad.groupby("model", sort=False):
+        whiskers = own["whisker"].unique()
+        every = len(whiskers) == at["whisker"].nunique()
+        fails.append(f"{name} with {'every whisker' if every else ' / '.join(whiskers)}")
+    costs = [
+        f"{whisker} {own['seconds_complete'].sum() / own['seconds_chosen'].sum():.1f} "
+        f"(the rod {own['seconds_rod'].sum() / own['seconds_chosen'].sum():.0f})"
+        for whisker, own in at.groupby("whisker", sort=False)
+    ]
+    return [
+        f"Cheapest model within 0.1 JND, by share of the contact time: {'; '.join(shares)}.",
+        f"Beyond 0.1 JND in more than 5 % of it: {'; '.join(fails) or 'none'}.",
+        f"Times as dear a model that has all there is: {'; '.join(costs)}.",
+    ]
+
+
 def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Write tables and figure into `folder`; returns the tables."""
     ladder, rungs = measure(SHORT if short else FULL)
@@ -410,5 +439,7 @@ if __name__ == "__main__":
     given = options(
         __file__, __doc__, folder=ANALYSES / "figures", short="one whisker, few moments, seconds"
     )
-    print(make(given.folder, short=given.short)[0].round(6).to_string(index=False))
+    tables = make(given.folder, short=given.short)
+    print(*conclusions(*tables), sep="\n")
+    print(tables[0].round(6).to_string(index=False))
     print(f"Written to {given.folder}.")

@@ -141,6 +141,27 @@ def summary(cases: pd.DataFrame) -> pd.DataFrame:
     return counts.reset_index()
 
 
+def conclusions(counts: pd.DataFrame) -> list[str]:
+    """Three sentences of a summary: what is silently wrong, what says that it fails, what is right.
+
+    By method, of the cases inside the domain.
+    """
+    method = counts["domain"].str.split(",").str[0]
+    sums = counts.groupby(method, sort=False)[["right", "warned", "refused", "silent"]].sum()
+    sums = sums.drop([name for name in sums.index if name.endswith("outside")])
+    share = sums["right"] / sums.sum(axis=1)
+    wrong = counts[counts["silent"] > 0]
+    silently = [f"{n} of {d}" for d, n in zip(wrong["domain"], wrong["silent"], strict=True)]
+    fails = [f"{name} {1 - s:.0%}" for name, s in share[share < 2 / 3].sort_values().items()]
+    holds = [f"{name} {s:.0%}" for name, s in share[share >= 2 / 3].sort_values().items()]
+    return [
+        f"Wrong without saying so: {'; '.join(silently) or 'none'} of {int(sums.to_numpy().sum())} "
+        "cases that a search for such made.",
+        f"Flagged or refused in more than a third: {', '.join(fails) or 'none'}.",
+        f"Right in all but those that say so: {', '.join(holds) or 'none'}.",
+    ]
+
+
 def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
     for fate in (Fate.REFUSED, Fate.UNJUDGED, Fate.RIGHT, Fate.WARNED, Fate.SILENT):
         some = cases[cases["fate"] == fate]
@@ -201,7 +222,9 @@ if __name__ == "__main__":
     names = [d.name for d, *_ in domains()]
     given = options(__file__, __doc__, short="few cases", seed=SEED, parts=names)
     made = make(given.folder, short=given.short, seed=given.seed, only=given.only)
-    print(summary(made).to_string(index=False, float_format="{:.3g}".format))
+    counts = summary(made)
+    print(*conclusions(counts), sep="\n")
+    print(counts.to_string(index=False, float_format="{:.3g}".format))
     wrong = silent(made).dropna(axis=1, how="all")
     print("Wrong in silence:", "none." if wrong.empty else f"\n{wrong.head(20).to_string()}")
     print(f"Written to {given.folder}.")

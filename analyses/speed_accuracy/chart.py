@@ -417,7 +417,7 @@ def measure_growth(*, full: bool = False) -> pd.DataFrame:
     for what, (job, n, *most) in jobs.items():
         if not most[full]:
             continue
-        job(64 if "θ_d" in what else 2)()  # what is made once, a tiling, say, is not counted
+        job(64 if "θ_d" in what else 2)()  # cells that are kept are not counted
         rows = []
         while n <= most[full]:
             call = job(n)

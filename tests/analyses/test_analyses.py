@@ -8,8 +8,9 @@ import runpy
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
-from analysis_scripts import FOLDER
+from analysis_scripts import FOLDER, load
 
 SCRIPTS = [
     path
@@ -42,3 +43,11 @@ def test_help_prints_the_docstring_and_writes_nothing(
         assert shown in printed.getvalue(), script.name
     assert not list(tmp_path.iterdir())
     assert files(FOLDER) == before
+
+
+def test_the_atlas_names_what_is_wrong_in_silence() -> None:
+    stability = load("stability")
+    counts = pd.read_csv(FOLDER / "figures" / "stability.csv")
+    assert stability.conclusions(counts)[0].startswith("Wrong without saying so: none of")
+    counts.loc[3, "silent"] = 2
+    assert f"2 of {counts['domain'][3]}" in stability.conclusions(counts)[0]

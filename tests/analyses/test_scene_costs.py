@@ -108,3 +108,13 @@ def test_scenes_near_the_fold_are_left_to_the_rung_that_knows() -> None:
     true = met.press()
     off = costs.bias(true, met.press(met.choose(0.3).model), 0.3)[np.asarray(true.held)]
     assert off.max() <= costs.TOLERANCE
+
+
+def test_conclusions_say_which_model_fails_where() -> None:
+    ladder, rungs = kept()
+    cheapest, failing, dearer = costs.conclusions(ladder, rungs)
+    assert "curved, rolled by 60°: closed form" in cheapest
+    assert "planar beam with curved, rolled by 60°" in failing
+    assert "the rod" in dearer
+    rungs.loc[rungs["model"] == "planar beam", "bias_95"] = 0.0
+    assert "planar beam" not in costs.conclusions(ladder, rungs)[1]
