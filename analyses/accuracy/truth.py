@@ -210,6 +210,9 @@ class Density:
         with np.errstate(all="ignore"):
             signals, outcome = self.cue.signals(self.whisker, contact)
         held = outcome == 0
+        turning = np.flatnonzero(self.cue.circular)  # known to whole turns
+        turns = (signals[:, turning] - self.reading[turning]) / (2 * np.pi)
+        signals[:, turning] -= 2 * np.pi * np.round(turns)
         log = log_likelihood(self.groups, self.reading, np.where(held[:, None], signals, 1.0))
         return np.where(held, log, -np.inf)
 
