@@ -97,8 +97,9 @@ class LayeredSums:
 
     @property
     def bytes(self) -> int:
-        """Memory of the cells at all nodes."""
-        return sum(sums.bytes for node in self.nodes.values() for _, sums in node.parts)
+        """Memory of the cells at all nodes, of what is known there, and of quantiles there."""
+        cells = sum(sums.bytes for node in self.nodes.values() for _, sums in node.parts)
+        return cells + 8 * len(self.nodes) * len(self.readings) * (8 + len(SCORES))
 
     def solve(self) -> None:
         """Halve nodes until sums over odd and even ones agree."""
