@@ -23,7 +23,7 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.integrate.batch import of_fraction
+from weberwhisk.behaviour.integrate import of_fraction
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,7 @@ from scipy.special import logsumexp, ndtr
 from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.axes import log_lapses_possible, score_prior
 from weberwhisk.behaviour.effects import Floor
-from weberwhisk.behaviour.integrate import integrate
-from weberwhisk.behaviour.integrate.batch import marginal
+from weberwhisk.behaviour.integrate import integrate, marginal
 from weberwhisk.behaviour.likelihood import WeberModel, build_model
 
 

@@ -4,13 +4,12 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 `fit_weber` makes a `WeberFit` of them.
 """
 
-from .comparison import Comparison, compare
+from .comparison import Comparison, WeberLawTest, compare, weber_law_test
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
 from .fit import StateFit, WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
-from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import Priors

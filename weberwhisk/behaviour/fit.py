@@ -13,7 +13,8 @@ from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
-from . import methods, report
+from . import report
+from .criticism import judged
 from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates, tails
@@ -21,7 +22,6 @@ from .importance import Target
 from .integrate import integrate
 from .likelihood import build_model
 from .located import at_touches
-from .misfit import judged
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
 from .states import (
     STATE_PRIORS,
@@ -88,7 +88,7 @@ class WeberFit(Estimates):
         >>> "lapse_low ~ beta(0.7, 20)" in fit.methods()
         True
         """
-        return methods.of_fit(self)
+        return report.methods(self)
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""

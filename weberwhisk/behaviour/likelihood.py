@@ -13,13 +13,13 @@ from scipy.special import gammaln
 
 from .._util import checks
 from .._util.values import Array, Fields, Index
-from .condensed import condensed
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
     Encoding,
     Signals,
     UnitEncodings,
     chosen_encoding,
+    condensed,
     encoding_for,
     refuse_unencoded,
     unit_encodings,
@@ -323,7 +323,7 @@ class WeberModel(Fields):
         if n.size > (1000 if pairs.has_spread else 200) and (
             pairs.has_spread or self.task.is_difference
         ):
-            pairs, n, count, group = condensed(self.task, pairs, n, count, group)
+            pairs, n, count, group = condensed(self.task.decision_sd, pairs, n, count, group)
         unknown = np.full(n.size, np.nan)  # the stimuli of a node
         cells = Cells(unknown, unknown, unknown, n, count)
         return replace(self, encodings=pairs, cells=cells, group=group)

@@ -22,9 +22,9 @@ from .._util.campaign import one_blas_thread
 from .._util.values import Array
 from ..behaviour.axes import score_prior
 from ..behaviour.fit import fit_weber
-from ..behaviour.hierarchy import log_product, normal_weights
-from ..behaviour.integrate.batch import log_sum, marginal
+from ..behaviour.integrate import log_sum, marginal
 from ..behaviour.likelihood import WeberModel
+from ..behaviour.population_fit import log_product, normal_weights
 from ..behaviour.priors import SPREAD, Priors
 from ..behaviour.states import States
 from ..behaviour.trials import STIMULI, Trials

@@ -17,10 +17,10 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from ..._util.values import Array, Index
-from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score_prior
-from ..likelihood import WeberModel
-from ..priors import TINY
+from .._util.values import Array, Index
+from .axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score_prior
+from .likelihood import WeberModel
+from .priors import TINY
 
 __all__ = ["NOTHING", "ChoiceNodes"]
 
