@@ -267,8 +267,6 @@ def _expected(fit: Estimates, rows: Answers) -> Array:
 
 #: Share of stationary animals in which some check may fire: each has its part of it.
 FALSE_ALARMS = 0.05
-#: Odds against a belief about lapses above which the answers refute it.
-REFUTED = 10.0
 #: What each misfit is seen by, the first that is there being the status.
 SEEN_BY = {
     FitStatus.MISFIT_STREAKS: ("streaks",),
@@ -303,7 +301,8 @@ def _moved_by_beliefs(fit: Estimates) -> bool:
     """Whether a belief about lapses that the answers do not refute puts k out of its interval."""
     table, (low, high) = fit.lapse_sensitivity, fit.interval()
     outside = (table["weber_fraction"] < low) | (table["weber_fraction"] > high)
-    return bool((outside & (table["log_bayes_factor"] > -np.log(REFUTED))).any())
+    believable = table["log_bayes_factor"] > -np.log(10.0)  # odds of 10 against it refute it
+    return bool((outside & believable).any())
 
 
 def _in_words(fit: Estimates, name: str, row: pd.Series) -> str:

@@ -27,8 +27,6 @@ from .posteriors import SampledPosterior, split
 __all__ = ["ImportancePosterior", "Target", "WeightedDraws", "weighted_draws"]
 
 PASS = 2000  # vectors of a call, and draws of a pass; a quarter of these must count
-FREEDOM = 6  # of a Student t
-ROUNDS = 8  # at most, with the posterior itself
 KEPT = 8000  # draws that stay, and independent ones that the weighted are to be worth
 
 
@@ -77,7 +75,7 @@ def weighted_draws(
         if power == 1.0:
             break
     count = 2 * size
-    for _ in range(ROUNDS):
+    for _ in range(8):  # now the posterior itself
         values, log_weight, _ = _drawn(log_density, parts, count, rng, 0.0)
         effective = _effective(log_weight)
         if effective >= wanted:
@@ -97,7 +95,7 @@ def _drawn(
 ) -> tuple[Array, Array, float]:
     """Draws from as many of each Student t, their log weights, and the power under which `least`
     count."""
-    each = [multivariate_t(centre, spread, FREEDOM, seed=rng) for centre, spread in parts]
+    each = [multivariate_t(centre, spread, df=6, seed=rng) for centre, spread in parts]
     drawn = [t.rvs(-(-count // len(each))).reshape(-1, parts[0][0].size) for t in each]
     values = np.concatenate(drawn)
     proposed = logsumexp([t.logpdf(values) for t in each], axis=0) - np.log(len(each))

@@ -39,8 +39,6 @@ __all__ = [
     "marginal", "of_fraction", "outer_prior", "over_fractions", "zoomed",
 ]  # fmt: skip
 
-SHIFT = 0.03  # sds by which half the nodes may move a quantile of k: for a kink a third is left
-
 
 @dataclass(frozen=True)
 class PosteriorGrid:
@@ -139,10 +137,11 @@ def _summed(nodes: ChoiceNodes, tolerance: float) -> tuple[PosteriorGrid, Array]
     # Half-grids agree on the evidence long before they do on the tails of k where these are not
     # a normal's: a shelf where lapses explain all, a kink where answers forbid every smaller k.
     shift = _quantile_shift(axes[0], marginals[0])
-    if shift > SHIFT and axes[0].size < 200:
-        refine[0] = min(refine[0], 0.6)
-    elif shift > SHIFT:
-        error = max(error, shift / 3)
+    if shift > 0.03:  # sds by which half the nodes move a quantile: for a kink a third is left
+        if axes[0].size < 200:
+            refine[0] = min(refine[0], 0.6)
+        else:
+            error = max(error, shift / 3)
     windows = np.stack([nodes.first[2:, :, 0], nodes.last[2:, :, 0]])
     inside = np.isfinite(windows[0])
     widths = np.subtract(windows[1], windows[0], where=inside, out=np.zeros(inside.shape))

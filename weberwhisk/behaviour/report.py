@@ -246,19 +246,6 @@ _NOISE = {
     "equal-variance": "the sd that the standard's signal gives, k times it",
 }
 
-_CHAIN = (
-    "Before each trial the state is kept with probability 1 − switch, and otherwise, as at the "
-    "start of a session, drawn anew: engaged with the probability of that name"
-)
-_STATES = {
-    2: "The animal is a hidden Markov chain of two states: engaged, the observer above, and "
-    "disengaged, with one probability of the answer, answer_away, whatever the stimuli. "
-    f"{_CHAIN}.",
-    3: "The animal is a hidden Markov chain of three states: engaged, the observer above, and two "
-    "disengaged ones, with probabilities of the answer, answer_low and answer_high, whatever the "
-    f"stimuli (Ashwood et al. 2022). {_CHAIN}; side is the share of answer_high in the rest.",
-}
-
 
 def methods(fit: Estimates) -> str:
     """What was done to the choices of one observer."""
@@ -283,7 +270,19 @@ def methods(fit: Estimates) -> str:
             f"over its sd and λ_lo, λ_hi are lapse rates{bias}."
         )
     if fit.model.n_states > 1:
-        said.append(_STATES[fit.model.n_states])
+        states = {
+            2: "two states: engaged, the observer above, and disengaged, with one probability of "
+            "the answer, answer_away, whatever the stimuli",
+            3: "three states: engaged, the observer above, and two disengaged ones, with "
+            "probabilities of the answer, answer_low and answer_high, whatever the stimuli "
+            "(Ashwood et al. 2022)",
+        }[fit.model.n_states]
+        said.append(
+            f"The animal is a hidden Markov chain of {states}. Before each trial the state is kept "
+            "with probability 1 − switch, and otherwise, as at the start of a session, drawn anew: "
+            "engaged with the probability of that name"
+            f"{'; side is the share of answer_high in the rest' * (fit.model.n_states == 3)}."
+        )
     if fit.effects:
         said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
     said += [

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,6 @@ STATE_PRIORS: dict[int, dict[str, Any]] = {
         "answer_high": stats.beta(9.0, 1.0),
     },
 }
-LEAST = 1e-18  # probability of an answer: sixteen of them can be multiplied
 
 
 @dataclass(frozen=True, repr=False)
@@ -195,7 +194,8 @@ class StateModel(WeberModel):
         engaged = np.concatenate([q, p, np.ones((len(p), 1))], axis=1).T
         second = draws.states.T[1 - self.n_states :]
         away = np.stack([1 - second, second, np.ones(second.shape)])
-        return np.maximum(engaged, LEAST), np.maximum(away, LEAST)
+        floor = partial(np.maximum, 1e-18)  # sixteen of them can be multiplied
+        return floor(engaged), floor(away)
 
     @cached_property
     def said_at(self) -> Index:

@@ -209,10 +209,6 @@ def _open_ends(
     return is_open(-far), is_open(far)
 
 
-# What one might believe instead: an animal that never lapses, seldom, or often.
-BELIEFS = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
-
-
 @one_blas_thread
 def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFrame:
     """Median and 95 % interval of k with other lapse priors than those of the fit.
@@ -227,7 +223,8 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     rows = [("as fitted", *own, 0.0)]
     free = [n for n in model.task.lapses if n in model.names]
     if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
-        for words, belief in BELIEFS.items():
+        beliefs = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
+        for words, belief in beliefs.items():
             changed: dict[str, Any] = dict.fromkeys(free, belief)
             priors = replace(model.priors, **changed)
             other = replace(model, priors=priors).merged()

@@ -31,12 +31,7 @@ __all__ = ["Belief", "Pair", "entropy"]
 
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 
-#: Of k, either lapse and every bias: quantiles within 0.02 posterior sd of the fit's
-#: (`tests/benchmarks/bench_adaptive.py`).
-NODES = (21, 14, 21)
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
-EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
-FEW_TRIALS = 8  # that the coordinates of the lapses are made for; with 100 errors are the same
 
 
 @dataclass(frozen=True)
@@ -54,8 +49,9 @@ class Axes:
         far = -FAR, FAR
         lapses = [tuple(t.coordinate(far).tolist()) for t in model.transforms[-2:]]
         ends: list[Any] = [far, *lapses, *[far] * model.n_groups]
-        of_k, of_lapse, of_bias = NODES
-        counts = [of_k, of_lapse, of_lapse, *[of_bias] * model.n_groups]
+        # So many leave quantiles within 0.02 posterior sd of the fit's
+        # (`tests/benchmarks/bench_adaptive.py`).
+        counts = [21, 14, 14, *[21] * model.n_groups]
         free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
         k, low, high, *biases = (
             np.linspace(end[0], end[1], count) if own else np.zeros(1)
@@ -150,7 +146,8 @@ class Belief:
 
     def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis, self._candidates = hypothesis, candidates
-        few = np.full(candidates.n.size, FEW_TRIALS / candidates.n.size)
+        # The coordinates of the lapses are made for 8 trials; with 100 errors are the same.
+        few = np.full(candidates.n.size, 8 / candidates.n.size)
         model = hypothesis.model(replace(candidates, n=few))
         self._seen: dict[Pair, list[float]] = {}
         self._encoded: dict[Pair, UnitEncodings] = {
@@ -284,7 +281,7 @@ def _fitted(
     the mass, and some more where there is `least` of the highest at an end and it may go on."""
     if axis.size == 1:
         return True, axis
-    filled, edges = np.flatnonzero(mass > EMPTY * mass.max()), axis[[0, -1]]
+    filled, edges = np.flatnonzero(mass > 1e-4 * mass.max()), axis[[0, -1]]
     short = (mass[[0, -1]] > least * mass.max()) & (np.abs(edges - ends) > 1e-9)
     step = axis[1] - axis[0]
     low, high = axis[filled[0]] - step, axis[filled[-1]] + step

@@ -24,7 +24,6 @@ from .scheme import Scheme, sized
 __all__ = ["Power", "power", "share_in_words", "smallest", "summary", "wilson"]
 
 BY = ["truth", "trials", "animals"]  # what experiments are counted by
-MOST = {"trials": 1000, "animals": 200}
 
 
 @dataclass(frozen=True, repr=False)
@@ -251,9 +250,10 @@ def smallest(
     >>> 5 < found.trials[0][0] < 40
     True
     """
-    checks.one_of("vary", vary, MOST)
+    usual = {"trials": 1000, "animals": 200}
+    checks.one_of("vary", vary, usual)
     given, aim = check_goal(hypotheses, goal)
-    end = MOST[vary] if most is None else checks.whole("most", most, "write 100, say")
+    end = usual[vary] if most is None else checks.whole("most", most, "write 100, say")
     likely = options.get("expected") or SubjectPopulation()
     refuse_impossible(scheme, given, aim, likely, vary, end, options.get("together", True))
     visited: dict[int, Power] = {}

@@ -19,8 +19,6 @@ from .coordinates import ContactCoordinates
 
 __all__ = ["check_noise", "default_noise", "with_floors"]
 
-#: Floor of the noise of a signal that changes sign, over the signal's usual magnitude.
-FLOOR_SHARE = 0.01
 #: Signals of one sign at every contact; `axial_force` too without curvature and friction.
 ONE_SIGN = ("moment", "moment_rate", "angular_velocity", "effort")
 
@@ -86,8 +84,8 @@ def _floors(whisker: Whisker, cue: Cue) -> Array:
         if cue.forward(whisker, np.ones(len(cue.unknowns))).azimuth is not None:
             # It turns round beside the push, and may vanish there.
             changes |= np.char.startswith(cue.signal_names, "transverse_force")
-        # To two digits, so that a refusal names the very floor that is the default.
-        floors[changes] = [float(f"{FLOOR_SHARE * s:.2g}") for s in size[changes]]
+        # 1 % to two digits, so that a refusal names the very floor that is the default.
+        floors[changes] = [float(f"{0.01 * s:.2g}") for s in size[changes]]
     floors.flags.writeable = False  # kept
     return floors
 

@@ -26,15 +26,10 @@ from .weighted import OVER, Spans, Sums, extrapolated, interpolate, mixed, resam
 
 __all__ = ["SCORES", "LayeredSums", "Layers"]
 
-#: By how much sums over every other node are worse. Along a friction they converge as sums over a
-#: density with kinks do: a third of 6.7e-3 where 2.2e-3 was missed.
-COARSER = 3.0
 #: Normal scores at which conditional quantiles are interpolated from node to node.
 SCORES = np.linspace(-4.5, 4.5, 37)
 #: Parts of a step between nodes at which conditional posteriors are interpolated.
 PARTS = 8
-#: Error of the ends of intervals, in sds, above which nodes are halved for them.
-ROUGH = 5e-3
 
 
 @dataclass(eq=False)
@@ -271,8 +266,10 @@ class LayeredSums:
                 off = np.maximum(np.abs(m - self.mean[rows]), np.abs(s - own_sd)) / own_sd
                 each[d] = np.maximum.reduce([each[d], np.abs(2 * t / total - 1), off.max(axis=1)])
         each = np.minimum(each, 1e100)
-        for d, axis in enumerate(self.axes):  # as cells' are, in `weighted.Sums.add`, on a circle
-            each[d] = each[d] ** 2 if axis.around else each[d] / COARSER
+        # Sums over every other node are worse: on a circle as cells' are in `weighted.Sums.add`,
+        # along a friction as over a density with kinks: a third of 6.7e-3 where 2.2e-3 was missed.
+        for d, axis in enumerate(self.axes):
+            each[d] = each[d] ** 2 if axis.around else each[d] / 3
         inside = (weight * self._table(keys, rows, "error").reshape(weight.shape)).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
@@ -329,8 +326,9 @@ class LayeredSums:
                 off = np.nan_to_num(np.abs(off / sd).max(axis=-1), posinf=0.0)
             near = np.min([around(log, k) for k in (-3, -1, 1, 3)], axis=0) > -self.drop
             off = np.where(near, 7 * share * off, 0.0)
-            # The error of fourth order is a sixteenth of that at half the steps.
-            out[d] = off.reshape(-1, len(rows)).max(axis=0) / 16 > ROUGH
+            # The error of fourth order is a sixteenth of that at half the steps; an end of an
+            # interval may be 5e-3 sd off.
+            out[d] = off.reshape(-1, len(rows)).max(axis=0) / 16 > 5e-3
         return out
 
     def _far_apart(self, keys: list[Index], rows: Index) -> Flags:

@@ -32,9 +32,6 @@ from .floors import check_noise, default_noise
 
 __all__ = ["Evaluated", "Observer"]
 
-#: Fractions of the ranges of distance and angle between which trees look for contacts.
-ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
-
 
 class Evaluated(NamedTuple):
     """Contacts (N, U) at coordinates, ln of the prior density there (N,), signals (N, S), scores.
@@ -307,7 +304,9 @@ class Observer(Fields):
 
     @cached_property
     def _bounded_ends(self) -> tuple[Array, Array]:
-        x = self.space.spread(ENDS)[:, : self.bounded]
+        # Fractions of the ranges of distance and angle, between the ends of which trees look.
+        fractions = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
+        x = self.space.spread(fractions)[:, : self.bounded]
         return x.min(axis=0), x.max(axis=0)
 
     def ends(self, unknowns: int | None = None) -> tuple[Array, Array]:

@@ -28,9 +28,6 @@ __all__ = [
     "refuse_impossible",
 ]  # fmt: skip
 
-#: A reading this many sd from the signals is improbable under the model.
-IMPROBABLE = 5.0
-
 
 class Status(Worded):
     """How far a posterior can be relied on; `message` says it in words."""
@@ -321,7 +318,7 @@ def is_improbable(observer: Observer, reading: Array, contact: Array) -> Flags:
 
 def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:
     """Readings (B, R) with a number more than 5 sd from their signals (B, S)."""
-    low, high = noise.interval(signals, IMPROBABLE)
+    low, high = noise.interval(signals, 5.0)
     return np.any((reading < low) | (reading > high), axis=-1)
 
 

@@ -41,8 +41,6 @@ MEMORY = 400_000_000
 
 #: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
 PAIRS = 150_000
-#: Most descents of a reading some of whose cells turn out to have been left out too early.
-DESCENTS = 3
 
 
 class TreeObserver(Protocol):
@@ -410,7 +408,8 @@ class Tree:
                 self.forget()
             rows = np.arange(begin, min(begin + size, len(readings)))
             deeper = np.full(len(rows), drop)
-            for _ in range(DESCENTS if least is None else 1):
+            # Again where cells turn out to have been left out too early.
+            for _ in range(3 if least is None else 1):
                 own = None if covariance is None else covariance[rows]
                 descent = Descent(self, readings[rows], own, rows, deeper, out)
                 descent.run(np.full(len(rows), -np.inf) if least is None else least[rows])
