@@ -110,10 +110,6 @@ def follow(
     cue : Cue, optional
         ``Friction(ForceMap("moment"), angle)`` for contacts that rub at a known angle.
 
-    Returns
-    -------
-    Track
-
     Raises
     ------
     ValueError
@@ -380,10 +376,6 @@ class SweepFilter:
         moment : array (n,)
             Readings of the moment at the base, N m.
         seed : int, SeedSequence or Generator
-
-        Returns
-        -------
-        Track
         """
         push, moments = _checked(push_angle, moment)
         rng = np.random.default_rng(seed)

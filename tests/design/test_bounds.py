@@ -13,7 +13,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.commands import experiments
 from weberwhisk.design import Goal, Scheme, SubjectPopulation, plan_experiment, power, taper
-from weberwhisk.design.bounds import fewest_animals, known_half_widths, trials_needed
+from weberwhisk.design.best import fewest_animals, known_half_widths, trials_needed
 
 PAIR = taper(ww.Whisker.from_identity("C2"))
 PLACES = [10e-3, 20e-3, 30e-3]

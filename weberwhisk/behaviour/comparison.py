@@ -78,10 +78,6 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     ----------
     fits : mapping of name to WeberFit
 
-    Returns
-    -------
-    Comparison
-
     Raises
     ------
     ValueError

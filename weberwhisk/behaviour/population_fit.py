@@ -322,8 +322,7 @@ def fit_population(
     weber = believed.weber_fraction
     found = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, prior)
     quantiles = [np.exp(_quantile(found.log_k, m, [0.5, 0.025, 0.975])) for m in found.animals]
-    both = pd.DataFrame(quantiles, kept.index, ["weber_fraction", "lower", "upper"])
-    table = own.join(both)
+    table = own.join(pd.DataFrame(quantiles, kept.index, ["weber_fraction", "lower", "upper"]))
     status = _status(found, prior, len(kept))
     by_chance = bdtrc(misfits.sum() - 1, len(own), FALSE_ALARMS) > FALSE_ALARMS
     if status is not PopulationStatus.NOT_CONVERGED and not by_chance:

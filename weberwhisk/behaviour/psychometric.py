@@ -20,7 +20,7 @@ from .encodings import (
 )
 from .tasks import Task, rises_on_both_sides
 
-__all__ = ["criterion", "decision_variable", "difference_sd", "response_probability", "threshold"]
+__all__ = ["criterion", "difference_sd", "response_probability", "threshold"]
 
 
 def response_probability(
@@ -55,10 +55,6 @@ def response_probability(
         Effects with the values of their parameters (...), at a column of 0: mid-course, with no
         answer before. Those of a fit's model have their scale; `Contraction()` has a centre of 0.
     noise : {"weber", "equal-variance"}
-
-    Returns
-    -------
-    ndarray, shape (..., C)
 
     Examples
     --------
@@ -227,13 +223,6 @@ def _ladder(encoding: Encoding, standard: float, sign: int) -> Array:
         return standard + (edge - standard) * share
     size = abs(standard) if low == 0 else 1.0
     return standard + sign * size * np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 258)])
-
-
-def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: ArrayLike) -> Array:
-    """Difference between the two encodings in its own sds, for a Weber fraction of 1."""
-    s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
-    gap = encoding.direction * (encoding.mean(c) - encoding.mean(s))
-    return gap / np.hypot(encoding.sd_per_weber_fraction(s), encoding.sd_per_weber_fraction(c))
 
 
 def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:

@@ -111,10 +111,6 @@ def simulate_trials(
     seed : int, SeedSequence or Generator
         The same seed gives the same trials, on every platform.
 
-    Returns
-    -------
-    Trials
-
     Raises
     ------
     ValueError

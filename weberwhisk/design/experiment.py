@@ -116,10 +116,6 @@ def plan_experiment(
     workers, scheduler, progress
         Of these simulations, as for `campaign.run`: the plan is the same to the bit.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     ValueError

@@ -274,7 +274,9 @@ def populations(
     fine = CubicSpline(log_k, np.maximum(log_like - top, -60.0), axis=-1)(x) + top
     # Given nodes are 2.8 of the least sd of an animal apart: two finer ones are 1.9.
     mean = np.arange(x[0] - 1.0, x[-1] + 1.0, 2.0 * (x[1] - x[0]) / np.sqrt(animals))
-    tau, weight = _legendre(0.0, float(SPREAD.ppf(1 - 1e-4)), spreads)
+    node, weight = np.polynomial.legendre.leggauss(spreads)
+    half = 0.5 * float(SPREAD.ppf(1 - 1e-4))
+    tau, weight = half * (node + 1), half * weight
     kernel = normal_weights(x, *np.meshgrid(mean, tau, indexing="ij"))
     prior = model.priors.log_density("weber_fraction", np.exp(mean)) + mean
     log_prior = prior[:, None] + np.log(weight) + SPREAD.logpdf(tau)
@@ -285,9 +287,3 @@ def populations(
         total = log_product(fine[i : i + size], kernel).sum(axis=1)
         out[i : i + size] = log_sum(total.reshape(-1, *log_prior.shape) + log_prior, 2)
     return mean, out
-
-
-def _legendre(low: float, high: float, count: int) -> tuple[Array, Array]:
-    """Gauss–Legendre nodes between two ends, and their weights."""
-    node, weight = np.polynomial.legendre.leggauss(count)
-    return low + 0.5 * (node + 1) * (high - low), 0.5 * (high - low) * weight

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from .._util import campaign, checks, output
 from .._util.values import Shown, interval_text, paragraphs
 from ..behaviour.states import States
-from .bounds import refuse_impossible
+from .best import refuse_impossible
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Scheme, sized
@@ -129,10 +129,6 @@ def power(
     seed : int or SeedSequence
     workers, scheduler, title, progress
         As for `weberwhisk.campaign.run`.
-
-    Returns
-    -------
-    Power
 
     Raises
     ------

@@ -84,10 +84,6 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     readings : array, shape (n, S)
         One reading a touch, in SI units.
 
-    Returns
-    -------
-    Touches
-
     Raises
     ------
     ValueError
