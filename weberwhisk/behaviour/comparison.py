@@ -280,20 +280,17 @@ def _separate_evidence(fit: Estimates, grid: PosteriorGrid) -> float:
             )
             total = total + over_fractions(part, (low, high), bias)
         density = np.exp(total - total.max()).sum(axis=0)
+        marginals = density.sum(axis=1), density.sum(axis=0)
+        # Where the density hangs over the last node, and there is more beyond.
         open_ends = [
-            _is_open(density.sum(axis=1 - i), axis, transform.ends[1])
-            for i, (axis, transform) in enumerate(zip(axes, transforms, strict=True))
+            axis.size > 1 and axis[-1] < transform.ends[1] and along[-1] > 5e-4 * along.max()
+            for axis, transform, along in zip(axes, transforms, marginals, strict=True)
         ]
         if not any(open_ends):
             break
         axes = [_wider(a) if is_open else a for a, is_open in zip(axes, open_ends, strict=True)]
     step = [a[1] - a[0] for a in (*axes, np.zeros(1) if bias is None else bias) if a.size > 1]
     return float(logsumexp(total) + np.log(step).sum())
-
-
-def _is_open(density: Array, axis: Array, end: float, edge: float = 5e-4) -> bool:
-    """Whether the density hangs over the last node, and there is more beyond."""
-    return axis.size > 1 and axis[-1] < end and bool(density[-1] > edge * density.max())
 
 
 def _wider(axis: Array) -> Array:

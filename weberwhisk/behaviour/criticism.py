@@ -236,9 +236,8 @@ def _streaks(fit: Estimates, rng: np.random.Generator) -> float | None:
     """The log Bayes factor of states over one; None where there can be no states."""
     model, trials = fit.model, fit.trials
     single = (trials.frame["n"] == 1).all() and in_order(trials.frame)
-    if not single or model.n_states > 1 or not model.task.has_bias or model.dispersed is not None:
-        return None
-    if fit.log_evidence is None:
+    plain = model.n_states == 1 and model.task.has_bias and model.dispersed is None
+    if not (single and plain) or fit.log_evidence is None:
         return None
     return streaks(model, fit.log_evidence, trials, fit.encoding, rng)
 

@@ -233,9 +233,13 @@ def zoomed(
     windows = everything(model, len(counts))
     spans = [e[1].max() - e[0].min() for e in windows.ends]
     spans += [windows.high[i].max() - windows.low[i].min() for i in (0, 1)]
+    # The least sd that the score of any bias can have given the rest.
+    few = [np.linspace(-2.0, 2.0, 9) * f for f in model.free[:1]]
+    drive = outer_signals(model, [*few, *[np.zeros(1)] * len(model.effects)])
+    narrowest = float(least_bias_sds(model, *drive, np.linspace(-2.0, 2.0, 9)).min())
     coarsest = max(
         [s / step for s, step in zip(spans, [*steps.outer, *steps.lapse], strict=True)]
-        + [(windows.high[2] - windows.low[2]).max() / narrowest_bias(model) / steps.bias]
+        + [(windows.high[2] - windows.low[2]).max() / narrowest / steps.bias]
     )
     # Nothing to zoom into where all is known, or within a few steps.
     zooms = int(np.ceil(np.log(max(coarsest / nodes, 1.0)) / np.log(finer)))
@@ -245,13 +249,6 @@ def zoomed(
             break
         windows = _pass(at, windows, power * cut + slack, by_node)
     return windows
-
-
-def narrowest_bias(model: WeberModel) -> float:
-    """The least sd that the score of any bias can have given the rest."""
-    few = [np.linspace(-2.0, 2.0, 9) * f for f in model.free[:1]]
-    d, weight = outer_signals(model, [*few, *[np.zeros(1)] * len(model.effects)])
-    return float(least_bias_sds(model, d, weight, np.linspace(-2.0, 2.0, 9)).min())
 
 
 def _pass(at: ChoiceNodes, windows: Windows, cut: float, by_node: bool) -> Windows:
@@ -326,13 +323,6 @@ def batch_steps(model: WeberModel, k: float = 2.5, lapse: float = 1.5, bias: flo
     return Steps(1.0, k * least_sds(model), np.full(2, lapse), bias)
 
 
-def _zoom_steps(steps: Steps) -> Steps:
-    """Twice as wide, for the last pass of the zoom."""
-    return replace(
-        steps, outer=2 * steps.outer, lapse=np.maximum(steps.lapse, 2.0), bias=2 * steps.bias
-    )
-
-
 def marginal(
     model: WeberModel,
     counts: Array,
@@ -346,7 +336,9 @@ def marginal(
     the best counts as empty, or `by_node` under the best with the same k.
     """
     steps = steps or batch_steps(model)
-    windows = zoomed(model, counts, _zoom_steps(steps), cut, by_node=by_node)
+    lapse = np.maximum(steps.lapse, 2.0)
+    twice = Steps(steps.power, 2 * steps.outer, lapse, 2 * steps.bias)
+    windows = zoomed(model, counts, twice, cut, by_node=by_node)
     at = ChoiceNodes(model, windows, steps, counts)
     weights = np.maximum(lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
     out = np.full((len(counts), at.outer[0].size), -np.inf)

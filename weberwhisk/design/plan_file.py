@@ -176,15 +176,13 @@ def _reader() -> Converter:
     reader.register_structure_hook_func(lambda kind: hasattr(kind, "_fields"), identity)
     reader.register_structure_hook_func(lambda kind: kind is Any, prior)
     reader.register_structure_hook_func(lambda kind: kind in (Array, ArrayLike | None), array)
-    reader.register_structure_hook_func(
-        lambda kind: kind in CHOICES or kind in CLASSES.values() or _optional(kind), thing
-    )
+
+    def is_thing(kind: Any) -> bool:
+        optional = isinstance(kind, UnionType) and any(one in CHOICES for one in get_args(kind))
+        return kind in CHOICES or kind in CLASSES.values() or optional
+
+    reader.register_structure_hook_func(is_thing, thing)
     return reader
-
-
-def _optional(kind: Any) -> bool:
-    """Whether it is one of the protocols or something else."""
-    return isinstance(kind, UnionType) and any(one in CHOICES for one in get_args(kind))
 
 
 def _in_words(error: BaseException) -> str:

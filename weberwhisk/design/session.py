@@ -208,10 +208,17 @@ def _block(
     drawn = [
         _sequence([d.size for d in decks], before, longest_run, rng) for _ in range(candidates)
     ]
-    sides = np.array(min(drawn, key=lambda s: abs(_excess_repeats([*before, *s]))), dtype=np.intp)
+
+    def excess(drawn: list[int]) -> int:
+        """How many more, or fewer, right answers repeat the one before than change it."""
+        sides = [*before, *drawn]
+        return abs(len(sides) - 1 - 2 * sum(a != b for a, b in pairwise(sides)))
+
+    sides = np.array(min(drawn, key=excess), dtype=np.intp)
     level = np.empty(sides.size, dtype=np.intp)
     for side, deck in enumerate(decks, start=1):
-        level[sides == side] = deck[_shuffled(deck.size, rng)]
+        # Uniform numbers alone: the streams of the others may change between versions.
+        level[sides == side] = deck[np.argsort(rng.random(deck.size), kind="stable")]
     return level, sides
 
 
@@ -245,17 +252,6 @@ def _can_follow(side: int, remaining: list[int], last: int, run: int, longest_ru
         and same <= longest_run - run + longest_run * other
         and other <= longest_run * (same + 1)
     )
-
-
-def _excess_repeats(sides: list[int]) -> int:
-    """How many more of the right answers repeat the one before than change it."""
-    changes = sum(a != b for a, b in pairwise(sides))
-    return len(sides) - 1 - 2 * changes
-
-
-def _shuffled(size: int, rng: np.random.Generator) -> Index:
-    # Uniform numbers alone: the streams of the other distributions may change between versions.
-    return np.argsort(rng.random(size), kind="stable")
 
 
 ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
