@@ -240,10 +240,12 @@ class TableCheck:
     name: str
     problems: list[str] = field(default_factory=list)
 
-    def add(self, column: str, bad: Flags, sentence: str) -> None:
-        """A problem with some cells of a column."""
-        rows = rows_in_words(self.table.index.to_numpy()[bad])
-        self.problems.append(f"{self.name}, column {column!r}, {rows}: {sentence}")
+    def add(self, column: str, bad: Flags, sentence: str, *values: Array) -> None:
+        """A problem with some cells of a column, if any; the first of the values fill in."""
+        if bad.any():
+            rows = rows_in_words(self.table.index.to_numpy()[bad])
+            said = sentence.format(*(value[bad][0] for value in values)) if values else sentence
+            self.problems.append(f"{self.name}, column {column!r}, {rows}: {said}")
 
     def missing_column(
         self, column: str, here: list[str], why: str, ours: str | None = None
@@ -271,31 +273,25 @@ class TableCheck:
             first = cells[text].iloc[0]
             self.add(column, text, f"{first!r} is not a number; {as_number(first)}.")
         lost = blank | np.isinf(values)
-        if lost.any():
-            self.add(column, lost, "empty, NaN or infinite; give the stimulus or remove the row.")
-        if (low := values < least).any():
-            self.add(column, low, f"{values[low][0]:g} is below {least:g}; correct it.")
+        self.add(column, lost, "empty, NaN or infinite; give the stimulus or remove the row.")
+        self.add(column, values < least, f"{{:g}} is below {least:g}; correct it.", values)
         return values
 
     def magnitudes(self, numbers: Mapping[str, Array], whisker: Any) -> None:
         """Magnitudes lie above zero, and radial distances on the whisker."""
         for column, values in numbers.items():
             low = np.isfinite(values) & (values <= 0)
-            if low.any():
-                said = f"a magnitude must be above zero, got {values[low][0]:g}; correct it, or "
-                self.add(column, low, f"{said}read logarithms with scale='log'.")
+            said = "a magnitude must be above zero, got {:g}; correct it, or read logarithms with "
+            self.add(column, low, f"{said}scale='log'.", values)
             if whisker is None:
                 continue
-            off, most = (
-                np.isfinite(values) & (values >= whisker.length),
-                np.nanmax(values, initial=0),
-            )
+            off = np.isfinite(values) & (values >= whisker.length)
+            most = np.nanmax(values, initial=0)
             remedy = f"{whisker.length:g} m; write distances in metres."
-            if off.any():
-                said = f"radial distance {values[off][0]:g} m is beyond the whisker's length of"
-                self.add(column, off, f"{said} {remedy}")
+            said = f"radial distance {{:g}} m is beyond the whisker's length of {remedy}"
+            self.add(column, off, said, values)
             # Nothing beyond 0.2 % of the length: the unit is not metres.
-            elif most < 0.002 * whisker.length and not low.any():
+            if most < 0.002 * whisker.length and not low.any():
                 said = f"no radial distance is above {most:g} m on a whisker of"
                 self.add(column, np.isfinite(values), f"{said} {remedy}")
 
@@ -305,7 +301,7 @@ class TableCheck:
         if cells.dtype.kind == "M":  # dates are names, not numbers of nanoseconds
             cells = cells.astype("string")
         blank = _blank(cells)
-        if blank.any() and column != "trial":
+        if column != "trial":
             self.add(column, blank, f"empty; name the {column} of every trial.")
         values = _floats(cells)
         whole = (values == np.round(values)) & (np.abs(values) < 2**53)
@@ -314,9 +310,8 @@ class TableCheck:
         names = np.array([_plain(c) for c in cells], dtype=object)
         # A terminal obeys what is not printed, and a figure has no sign for it.
         hidden = np.array([isinstance(c, str) and not c.isprintable() for c in names], dtype=bool)
-        if hidden.any():
-            said = f"{names[hidden][0]!r} contains characters that are not printed; write letters."
-            self.add(column, hidden, said)
+        said = "{!r} contains characters that are not printed; write letters."
+        self.add(column, hidden, said, names)
         return names
 
     def answers(
@@ -350,28 +345,24 @@ class TableCheck:
             columns = {"n": (n, np.zeros(len(n), bool)), **columns}
         for column, (values, gaps) in columns.items():
             bad = ~gaps & np.isfinite(values) & ((values < 0) | (values != np.round(values)))
-            if bad.any():
-                said = f"{values[bad][0]:g} is not a count; write whole numbers of zero or more."
-                self.add(column, bad, said)
-        over = count > n
-        if over.any():
-            said = f"{count[over][0]:g} is above the {n[over][0]:g} trials in column 'n'; check "
-            self.add(answer, over, f"{said}which is which.")
+            said = "{:g} is not a count; write whole numbers of zero or more."
+            self.add(column, bad, said, values)
+        said = "{:g} is above the {:g} trials in column 'n'; check which is which."
+        self.add(answer, count > n, said, count, n)
         return n, count
 
     def _percentages(self, column: str, percent: Array, n: Array) -> None:
         """Percentages of `n` trials may have been rounded, to whole percent at most."""
         off = (percent < 0) | (percent > 100)
-        said = "{p:g} is no percentage"
+        of: tuple[Array, ...] = (percent,)
+        said = "{:g} is no percentage"
         if not off.any() and 0 < np.nanmax(percent, initial=0) <= 1:
-            off, said = percent > 0, "none is above 1, as if these were proportions"
+            off, said, of = percent > 0, "none is above 1, as if these were proportions", ()
         elif not off.any():
             answers = n * percent / 100
             off = np.abs(answers - np.round(answers)) > 0.005 * n + 1e-9
-            said = "{p:g} % of {n:g} trials is no whole number of answers"
-        if off.any():
-            said = said.format(p=percent[off][0], n=n[off][0])
-            self.add(column, off, f"{said}; write percent of the row's n trials, or counts.")
+            said, of = "{:g} % of {:g} trials is no whole number of answers", (percent, n)
+        self.add(column, off, f"{said}; write percent of the row's n trials, or counts.", *of)
 
 
 def _floats(cells: pd.Series) -> Array:
