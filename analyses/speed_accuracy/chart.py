@@ -365,12 +365,12 @@ def measure_tool(
 def measure_fits(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
     """Relative RMSE of the Weber fraction, coverage of its 95 % interval, and CPU seconds a fit.
 
-    All tools fit the same data sets, emcee the first fifth of them: it takes seconds each.
+    All tools fit the same data sets: with fewer for the slow ones their RMSE is another number.
     """
     sets = sets or (100 if full else 3)
     return pd.DataFrame(
         [
-            measure_tool(name, tool, per_level, max(sets // 5, 3) if name == "emcee" else sets)
+            measure_tool(name, tool, per_level, sets)
             for per_level in (SIZES if full else SIZES[:1])
             for name, tool in TOOLS.items()
         ]
