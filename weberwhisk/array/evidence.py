@@ -12,7 +12,7 @@ from scipy.special import logsumexp, ndtr
 from .._util.checks import angle, finite
 from .._util.values import Array
 from ..inference import posterior
-from ..inference.coordinates import constrain_angle, unconstrain_angle
+from ..inference.coordinates import constrain_angle, unconstrain_angle, within_half_turn
 from ..inference.observer import Observer
 from ..inference.result import is_outside
 from ..mechanics.contact import Outcome
@@ -230,8 +230,7 @@ class Tap(Evidence):
 
     def _off(self, theta: Array) -> Array:
         """How far the azimuth read is from that of a touch, rad, to whole turns."""
-        off = self.reading[-1] - self.sensor.azimuth(theta)
-        return np.asarray(off - 2 * np.pi * np.round(off / (2 * np.pi)))
+        return within_half_turn(self.reading[-1] - self.sensor.azimuth(theta))
 
 
 class Blurred(Evidence):

@@ -20,7 +20,7 @@ from .._util.values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Cue, Encoded, reach_at, readings, straight
+from .protocol import ANGLE_SD, Cue, Encoded, reach_at, readings, straight
 
 __all__ = ["AngleSideAngle", "ContactAndDetachment", "TwoWhiskers"]
 
@@ -140,8 +140,8 @@ class AngleSideAngle(Cue):
         return priors
 
     def default_noise(self) -> GeneralisedWeber:
-        """The same sd at every angle, one degree: nothing is known of single whiskers."""
-        return GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
+        """The same sd at every angle: one degree."""
+        return GeneralisedWeber(0.0, floor=ANGLE_SD)
 
     def farthest(self, whisker: Whisker) -> float:
         """As far as the object is reached from both places at every bearing, m."""

@@ -17,7 +17,7 @@ from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import GeneralisedWeber
-from .protocol import Cue, Encoded
+from .protocol import ANGLE_SD, Cue, Encoded
 
 __all__ = ["BalanceOfMoments", "MuscleCurve"]
 
@@ -259,10 +259,9 @@ class BalanceOfMoments(Cue):
 
     def default_noise(self) -> GeneralisedWeber:
         """One degree of angle at every angle, and Weber's law, k = 0.1, of the effort."""
-        degree = float(np.radians(1.0))
         if self.effort is None:
-            return GeneralisedWeber([0.0, 0.1], floor=[degree, 0.0])
-        return GeneralisedWeber(0.0, floor=degree)
+            return GeneralisedWeber([0.0, 0.1], floor=[ANGLE_SD, 0.0])
+        return GeneralisedWeber(0.0, floor=ANGLE_SD)
 
     def farthest(self, whisker: Any) -> float:
         """As far as a balance is reached, m; the tip where the effort is sensed."""

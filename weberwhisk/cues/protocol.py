@@ -34,12 +34,14 @@ from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 
 __all__ = [
-    "Cue", "Encoded", "Fused", "MeasuredAngle", "a_cue", "is_curved", "reach_at", "readings",
-    "straight",
+    "ANGLE_SD", "Cue", "Encoded", "Fused", "MeasuredAngle", "a_cue", "is_curved", "reach_at",
+    "readings", "straight",
 ]  # fmt: skip
 
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Encoded = tuple[Array, Codes]
+#: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
+ANGLE_SD = float(np.radians(1.0))
 #: Unknowns that may be of either sign, rad and 1/m.
 SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
 
@@ -431,5 +433,5 @@ class MeasuredAngle(Cue):
 
     def default_noise(self) -> ReceptorNoise:
         """Weber's law with k = 0.1, and a degree of the angle."""
-        angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
+        angle = GeneralisedWeber(0.0, floor=ANGLE_SD)
         return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])

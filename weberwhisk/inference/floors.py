@@ -28,10 +28,11 @@ def default_noise(
 ) -> ReceptorNoise:
     """The noise of an observer that is given none: the cue's own, with a floor where it needs one.
 
-    Weber's law is of magnitudes. Of a signal that changes sign within the whisker's reach it would
-    leave contacts without noise, so that signal has a floor: 1 % of its median size in the reach.
-    Such are the axial force of a whisker that is touched on its concave side or rubs towards its
-    tip, the transverse force of heavy contacts, components of forces in space, and torsion.
+    Weber's law is of magnitudes. Of a signal that changes sign within the whisker's reach, or of a
+    force that turns round, it would leave contacts without noise, so that signal has a floor: 1 %
+    of its median size in the reach. Such are the axial force of a whisker that is touched on its
+    concave side or rubs towards its tip, the transverse force of heavy contacts, components of
+    forces in space, and torsion.
 
     Parameters
     ----------
@@ -153,6 +154,6 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
         names = " and ".join(np.array(cue.signal_names)[added])
         line = re.sub(r"\b(?=[A-Z]\w*\()", "ww.receptors.", repr(floored)).replace("inf", "None")
         raise ValueError(
-            f"The sign of {names} changes within this whisker's reach, where this noise would "
-            f"be zero, got {noise!r}; write {line}."
+            f"The sign or the direction of {names} changes within this whisker's reach, where "
+            f"this noise would be zero, got {noise!r}; write {line}."
         )

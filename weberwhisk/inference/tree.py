@@ -196,7 +196,7 @@ class Tree:
         self.refinements = 12 if self.unknowns == 1 else 3
         # More nats on the way, as cells are judged by their middles; cells of one unknown are few.
         self.slack = 100.0 if self.unknowns == 1 else 4.0
-        self.evaluated, self.height = 0, 0
+        self.evaluated = 0
         self._start: Level | None = None
 
     # -- evaluation --------------------------------------------------------------------------------
