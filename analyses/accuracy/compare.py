@@ -108,6 +108,8 @@ def main() -> None:
     given = parser.parse_args()
     with given.table.open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if not given.kind or row["kind"] in given.kind]
+    if not rows:
+        parser.error(f"no reading is of kind {given.kind}; kinds are those of its second column")
     sure = [
         row for row in rows
         if float(row["truth_error"]) < MOMENTS / 5 and float(row["quantile_error"]) < ENDS / 5

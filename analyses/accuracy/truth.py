@@ -455,7 +455,8 @@ def posterior_of(case: Case) -> Answer:
     if len(cue.unknowns) == 1:
         return _of_one(Density(whisker, cue, groups, reading))
     if "azimuth" in cue.unknowns and not whisker.curvature:
-        return _of_straight(Density(whisker, cue.all_but_one, groups[:1], reading[:3]), reading)
+        sizes = ww.cues.ForceMap(cue.signal_names[:3])
+        return _of_straight(Density(whisker, sizes, groups[:1], reading[:3]), reading)
     return _of_several(Density(whisker, cue, groups, reading))
 
 

@@ -1,5 +1,8 @@
 """Unknowns that the whisker does not bound: priors of their own, integrated out by every engine."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 from short_forms import slow_but
@@ -11,10 +14,12 @@ from weberwhisk.cues import (
     ForceMap,
     SpaceMap,
     TwoWhiskers,
+    UnknownRoll,
     UnknownStiffness,
 )
 from weberwhisk.inference import default_noise
 from weberwhisk.inference.approximate import find_mode
+from weberwhisk.inference.nodes import Layers
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 from weberwhisk.sensitivity import prior_draws, weber_propagation
 
@@ -267,3 +272,31 @@ def test_four_unknowns_with_friction_are_those_of_draws_from_the_prior():
     for i, found in enumerate(p.estimates.values()):
         assert abs(found.mean - mean[i]) < 4 * sd[i] / np.sqrt(draws) + 3 * found.mean_error
         assert found.sd == pytest.approx(sd[i], rel=4 / np.sqrt(draws))
+
+
+ROLLED = ww.Observer(replace(W, curvature=8.0), UnknownRoll(SpaceMap(), 0.3))
+
+
+def test_nodes_share_trees_where_only_directions_turn():
+    straight = Layers(ww.Observer(W, SpaceMap()), 2e-3)
+    rolled, narrow = (
+        Layers(replace(ROLLED, cue=UnknownRoll(SpaceMap(), spread)), 2e-3) for spread in (0.3, 1e-3)
+    )
+    for layers, trees in ((straight, 1), (rolled, 16), (narrow, 16 * 9)):
+        nodes = np.array(list(product(*(axis.nodes(0) for axis in layers.axes)))).T
+        assert len(np.unique(layers.further(nodes), axis=0)) == trees
+
+
+def test_draws_and_quantiles_of_a_roll_agree_and_stay_in_its_prior():
+    found = ww.posterior(ROLLED, ROLLED.read([30e-3, 0.25, 2.0, 0.2], seed=4))
+    draws = found.draws_of(4000, 1).reshape(-1, 4)
+    for i, name in enumerate(ROLLED.unknowns):
+        if name == "deflection_angle":  # whose quantiles take most of the time
+            continue
+        quantile = found.quantile([0.1, 0.5, 0.9], of=name)
+        # The sd of a share of 16 000 independent draws is 0.004; these are resampled.
+        shares = (draws[:, i] < quantile[:, None]).mean(axis=1)
+        assert shares == pytest.approx([0.1, 0.5, 0.9], abs=0.02)
+        assert draws[:, i].mean() == pytest.approx(
+            found.estimates[name].mean, abs=0.05 * np.std(draws[:, i])
+        )

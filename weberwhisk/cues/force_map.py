@@ -342,12 +342,10 @@ class SpaceMap(Cue):
         roll = number("roll", roll, hint)
         self._set(signal_names=names, roll=roll)
 
-    @cached_property
-    def all_but_one(self) -> ForceMap | None:  # type: ignore[override]
-        """On a straight whisker, the cue without the azimuth, which directions alone inform of."""
-        sizes = [name for name in self.signal_names if name in SIGNALS]
-        apart = sizes and self.signal_names == (*sizes, *DIRECTIONS)
-        return ForceMap(sizes) if apart else None
+    @property
+    def turns(self) -> bool:
+        """Unless there are components of a force or a moment across the base tangent."""
+        return not any(name.endswith(("_y", "_z")) for name in self.signal_names)
 
     @property
     def circular(self) -> tuple[bool, ...]:
@@ -410,10 +408,12 @@ class SpaceMap(Cue):
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         contact = np.asarray(contact, dtype=float)
-        if self.all_but_one is None or not forward_of(whisker).is_flat:
+        sizes = [name for name in self.signal_names if name in SIGNALS]
+        apart = sizes and self.signal_names == (*sizes, *DIRECTIONS)
+        if not (apart and forward_of(whisker).is_flat):
             return super().jacobian(whisker, contact, model=model)
         out = np.zeros((*contact.shape[:-1], len(self.signal_names), 3))
-        out[..., :-2, :2] = self.all_but_one.jacobian(whisker, contact[..., :2], model=model)
+        out[..., :-2, :2] = ForceMap(sizes).jacobian(whisker, contact[..., :2], model=model)
         out[..., -2:, 2] = 1.0
         return out
 

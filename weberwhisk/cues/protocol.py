@@ -56,9 +56,6 @@ class Cue(Value):
 
     #: Whether curved whiskers will do, profiles, and friction.
     takes_curved: ClassVar[bool] = False
-    #: Where one unknown has the last signals to itself, and they inform of nothing else: the cue
-    #: without.
-    all_but_one: ClassVar[Cue | None] = None
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -73,6 +70,11 @@ class Cue(Value):
     @property
     def is_scale(self) -> bool:
         """Whether every signal is proportional to the last unknown."""
+        return False
+
+    @property
+    def turns(self) -> bool:
+        """Whether directions alone change when contact and whisker turn about the base tangent."""
         return False
 
     @property

@@ -96,10 +96,8 @@ class _Wrapped(Cue):
         return self.cue.largest_angle(whisker, radial_distance)
 
     @property
-    def all_but_one(self) -> Cue | None:  # type: ignore[override]
-        """The same of the cue without the unknown that stands by itself there."""
-        inner = self.cue.all_but_one
-        return None if inner is None else replace(self, cue=inner)
+    def turns(self) -> bool:
+        return self.cue.turns
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -343,11 +341,6 @@ class UnknownRoll(_Wrapped):
             )
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
 
-    @property
-    def all_but_one(self) -> SpaceMap:  # type: ignore[override]
-        """The cue of a straight whisker, whose roll has no effect."""
-        return self.cue
-
     def _under(self, whisker: Any, value: Any = None) -> Any:
         return whisker
 
@@ -441,12 +434,8 @@ class UnknownStiffness(_Wrapped):
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
     @property
-    def all_but_one(self) -> Cue | None:  # type: ignore[override]
-        """The same of the cue without, if what is left has all the signals that go with EI₀."""
-        inner = self.cue.all_but_one
-        if inner is None or not set(self.soft_signals) <= set(inner.signal_names):
-            return None
-        return replace(self, cue=inner)
+    def turns(self) -> bool:
+        return self.cue.turns and not np.any(self._soft & self.circular)
 
     @cached_property
     def _soft(self) -> Flags:

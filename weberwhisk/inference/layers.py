@@ -8,7 +8,7 @@ cells are thin oblique sheets, up to a million a reading.)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -19,12 +19,11 @@ from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 from .coordinates import within_half_turn
-from .nodes import HALVINGS, TURN, Axis, Conditional
-from .observer import Observer
-from .tree import DROP, Tree, tree_of
+from .nodes import HALVINGS, TURN, Layers
+from .tree import DROP, Tree
 from .weighted import OVER, Spans, Sums, extrapolated, interpolate, mixed, resampled
 
-__all__ = ["SCORES", "LayeredSums", "Layers"]
+__all__ = ["SCORES", "LayeredSums"]
 
 #: Normal scores at which conditional quantiles are interpolated from node to node.
 SCORES = np.linspace(-4.5, 4.5, 37)
@@ -41,45 +40,38 @@ class _Node:
     mean: Array
     sd: Array
     error: Array
-    parts: list[tuple[Index, Sums]] = field(default_factory=list)
+    parts: list[tuple[_Part, slice]] = field(default_factory=list)
 
 
-class Layers:
-    """Posteriors of an observer some of whose unknowns have priors alone, or are given at nodes."""
+@dataclass(eq=False)
+class _Part:
+    """Sums of pairs (n,) of a reading and a node, of all nodes that share a tree.
 
-    def __init__(
-        self, observer: Observer, tolerance: float, inner: int | None = None,
-        given: Mapping[str, int] | None = None,
-    ) -> None:  # fmt: skip
-        self.observer, self.tolerance, self.given = observer, tolerance, dict(given or {})
-        self.inner = observer.bounded if inner is None else inner
-        self._all = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
-        self.axes = [axis for axis in self._all if axis.name not in self.given]
+    The number of the reading, the node (n, D), and ln of the evidence of both.
+    """
 
-    def tree(self, node: tuple[int, ...]) -> Tree:
-        """The tree at a node."""
-        at = dict(zip((axis.name for axis in self.axes), node, strict=True)) | self.given
-        standard = {"scaled": 1.0, "turned": 0.0}
-        further = tuple(
-            standard.get(axis.known, float(axis.value(0 if axis.known else at[axis.name])))
-            for axis in self._all
-        )
-        return tree_of(Conditional(self.observer, further), self.tolerance)
-
-    def sums(
-        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP
-    ) -> LayeredSums:
-        """The posteriors of readings (B, R), with measurement errors' covariances (B, R, R)."""
-        out = LayeredSums(self, readings, covariance, drop)
-        out.solve()
-        return out
+    found: Sums
+    rows: Index
+    node: Index
+    log: Array
+    quantiles: dict[int, Array] = field(default_factory=dict)
 
 
 class LayeredSums:
-    """As `weighted.Sums`, of B readings at nodes, at each of which there are weighted cells."""
+    """As `weighted.Sums`, of B readings at nodes, at each of which there are weighted cells.
+
+    Parameters
+    ----------
+    layers : Layers
+    readings : array, shape (B, R)
+    covariance : array, shape (B, R, R), optional
+        Of measurement errors, which add to the receptors' noise.
+    drop : float
+        Nats below the highest density at which cells are left out.
+    """
 
     def __init__(
-        self, layers: Layers, readings: Array, covariance: Array | None, drop: float
+        self, layers: Layers, readings: Array, covariance: Array | None = None, drop: float = DROP
     ) -> None:
         self.layers, self.axes, self.observer = layers, layers.axes, layers.observer
         self.readings, self.covariance, self.drop = readings, covariance, drop
@@ -88,15 +80,16 @@ class LayeredSums:
         self.error, self.log_evidence = np.full(count, np.inf), np.full(count, np.nan)
         self.halvings = np.zeros((count, len(self.axes)), dtype=int)
         self.nodes: dict[tuple[int, ...], _Node] = {}
-        self._quantiles: dict[tuple[tuple[int, ...], int], Array] = {}
+        self.parts: list[_Part] = []
+        self._solve()
 
     @property
     def bytes(self) -> int:
         """Memory of the cells at all nodes, of what is known there, and of quantiles there."""
-        cells = sum(sums.bytes for node in self.nodes.values() for _, sums in node.parts)
-        return cells + 8 * len(self.nodes) * len(self.readings) * (8 + len(SCORES))
+        cells = sum(part.found.bytes + 8 * len(SCORES) * len(part.rows) for part in self.parts)
+        return cells + 64 * len(self.nodes) * len(self.readings)
 
-    def solve(self) -> None:
+    def _solve(self) -> None:
         """Halve nodes until sums over odd and even ones agree."""
         todo = np.arange(len(self.readings))
         halvings = np.zeros(len(self.axes), dtype=int)
@@ -141,19 +134,14 @@ class LayeredSums:
                 node.log[rows[without]] = -np.inf
                 node.guess[rows[without]] = guess[without]
         new = [key for key in every if np.isnan(self.nodes[key].log[rows]).any()]
-        best = self._table(keys, rows, "log").reshape(-1, len(rows))
-        best = np.where(np.isnan(best), -np.inf, best).max(axis=0)
+        known = self._table(keys, rows, "log").reshape(-1, len(rows))
+        best = np.full(count, -np.inf)
+        best[rows] = np.where(np.isnan(known), -np.inf, known).max(axis=0)
         if not before:  # first the node where each reading is most probable at a glance
-            glimpse = np.stack([self._glimpse(key, rows) for key in new])
-            most = glimpse.argmax(axis=0)
-            for i in np.unique(most):
-                self._ask(new[i], rows[most == i], best[most == i])
-                best[most == i] = self.nodes[new[i]].log[rows[most == i]]
-        for key in new:
-            wanted = np.isnan(self.nodes[key].log[rows])
-            if wanted.any():
-                self._ask(key, rows[wanted], best[wanted])
-                np.maximum(best, self.nodes[key].log[rows], out=best)
+            most = self._glimpse(new, rows).argmax(axis=0)
+            self._ask([(new[i], rows[most == i]) for i in np.unique(most)], best)
+        unasked = [(key, rows[np.isnan(self.nodes[key].log[rows])]) for key in new]
+        self._ask([(key, own) for key, own in unasked if own.size], best)
 
     def _bound(
         self, keys: list[Index], rows: Index, halvings: Index, before: Index
@@ -191,35 +179,61 @@ class LayeredSums:
                 out[key] = without, np.mean([log[i] for i in beside], axis=0)
         return out
 
-    def _asked(self, key: tuple[int, ...], rows: Index) -> tuple[Array, Array | None, Any]:
-        """What to ask of the tree at a node, and ln of the Jacobian and of the prior there."""
-        readings, slope = self.readings[rows], 0.0
-        covariance = None if self.covariance is None else self.covariance[rows]
-        for axis, k in zip(self.axes, key, strict=True):
-            readings, covariance, own = axis.asked(readings, covariance, k)
-            slope += own + float(axis.log_prior(k))
-        return readings, covariance, slope
+    def _asked(
+        self, pairs: list[tuple[tuple[int, ...], Index]]
+    ) -> Iterator[tuple[Tree, list[int], Array, Array | None, Array]]:
+        """What to ask of each tree of nodes and their readings: together, as that is cheaper.
 
-    def _glimpse(self, key: tuple[int, ...], rows: Index) -> Array:
-        """About how probable readings are at a node, in nats."""
-        readings, covariance, slope = self._asked(key, rows)
-        return np.asarray(self.layers.tree(key).glimpse(readings, covariance) + slope)
+        The tree, the numbers of the pairs, readings and covariances, and ln of the Jacobian and of
+        the prior there.
+        """
+        if not pairs:
+            return
+        nodes = np.array([key for key, _ in pairs]).T
+        values, slopes = self.layers.values(nodes), self.layers.log_prior(nodes)
+        further, tree = np.unique(self.layers.further(nodes), axis=0, return_inverse=True)
+        for t, own in enumerate(further):
+            some, asked = np.flatnonzero(tree.ravel() == t).tolist(), []
+            for i in some:
+                rows, slope = pairs[i][1], float(slopes[i])
+                readings = self.readings[rows]
+                covariance = None if self.covariance is None else self.covariance[rows]
+                for axis, value in zip(self.axes, values, strict=True):
+                    readings, covariance, more = axis.asked(readings, covariance, float(value[i]))
+                    slope += more
+                asked.append((readings, covariance, np.full(len(rows), slope)))
+            columns = zip(*asked, strict=True)
+            joined = [None if c[0] is None else np.concatenate(c) for c in columns]
+            yield self.layers.tree(own), some, *joined
 
-    def _ask(self, key: tuple[int, ...], rows: Index, best: Array) -> None:
-        """Sum over the cells at a node, where they may have mass beside the `best` other node."""
-        node, (readings, covariance, slope) = self.nodes[key], self._asked(key, rows)
-        least = best - 2 * self.drop
-        found = self.layers.tree(key).sums(
-            readings, covariance, drop=self.drop, least=least - slope
-        )
-        known = np.isfinite(found.log_evidence)
-        node.log[rows] = np.where(known, found.log_evidence + slope, -np.inf)
-        node.guess[rows] = np.maximum(np.where(known, node.log[rows], least), -1e5)
-        node.mean[rows], node.sd[rows] = np.nan_to_num(found.mean), np.nan_to_num(found.sd)
-        node.error[rows] = np.where(known, found.error, 0.0)
-        node.parts.append((rows, found))
-        for unknown in range(self.layers.inner):
-            self._quantiles.pop((key, unknown), None)
+    def _glimpse(self, keys: list[tuple[int, ...]], rows: Index) -> Array:
+        """About how probable readings are at nodes, in nats, (N, n)."""
+        out = np.empty((len(keys), len(rows)))
+        for tree, some, readings, covariance, slope in self._asked([(k, rows) for k in keys]):
+            out[some] = (tree.glimpse(readings, covariance) + slope).reshape(len(some), -1)
+        return out
+
+    def _ask(self, pairs: list[tuple[tuple[int, ...], Index]], best: Array) -> None:
+        """Sum over the cells at nodes, where they may have mass beside the `best` (B,) known."""
+        for tree, some, readings, covariance, slope in self._asked(pairs):
+            rows = np.concatenate([pairs[i][1] for i in some])
+            least = best[rows] - 2 * self.drop
+            found = tree.sums(readings, covariance, drop=self.drop, least=least - slope)
+            known = np.isfinite(found.log_evidence)
+            node = np.repeat([pairs[i][0] for i in some], [len(pairs[i][1]) for i in some], axis=0)
+            log = np.where(known, found.log_evidence + slope, -np.inf)
+            part = _Part(found, rows, node, log)
+            self.parts.append(part)
+            np.maximum.at(best, rows, part.log)
+            begin = 0
+            for key, own in (pairs[i] for i in some):
+                at = slice(begin, begin + len(own))
+                one, begin = self.nodes[key], at.stop
+                one.log[own] = log[at]
+                one.guess[own] = np.maximum(np.where(known, log, least)[at], -1e5)
+                one.mean[own], one.sd[own] = np.nan_to_num([found.mean[at], found.sd[at]])
+                one.error[own] = np.where(known, found.error, 0.0)[at]
+                one.parts.append((part, at))
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; about how far off the sums along each axis are, (D, n)."""
@@ -234,9 +248,9 @@ class LayeredSums:
         best = log.argmax(axis=0)
         grid = np.stack([a.ravel() for a in np.meshgrid(*keys, indexing="ij")])
         values, middle = [], []
-        for axis, own in zip(self.axes, grid, strict=True):
-            value = np.broadcast_to(axis.value(own)[:, None], log.shape)
-            if axis.around:  # counted from the best, a half turn either way
+        for axis, own in zip(self.axes, self.layers.values(grid), strict=True):
+            value = np.broadcast_to(own[:, None], log.shape)
+            if axis.around and not axis.from_plane:  # a half turn from the best to either side
                 at_best = value[best, np.arange(len(rows))]
                 value = at_best + within_half_turn(value - at_best)
             values.append(value)
@@ -259,12 +273,16 @@ class LayeredSums:
         total, self.mean[rows], self.sd[rows] = moments(weight)
         own_sd = np.maximum(self.sd[rows], 1e-300)
         each = np.zeros((len(keys), len(rows)))
-        for d, k in enumerate(keys):
-            odd = ((grid[d] - k[0]) // (k[1] - k[0]) % 2).astype(bool)
-            for half in (odd, ~odd):
+        count = [(own - k[0]) // (k[1] - k[0]) for own, k in zip(grid, keys, strict=True)]
+        # Ridges along a diagonal are even along each axis, and not by the sum of both numbers.
+        for among in product((0, 1), repeat=len(keys)):
+            odd = (among @ np.stack(count) % 2).astype(bool)
+            for half in (odd, ~odd) if any(among) else ():
                 t, m, s = moments(weight * half[:, None])
                 off = np.maximum(np.abs(m - self.mean[rows]), np.abs(s - own_sd)) / own_sd
-                each[d] = np.maximum.reduce([each[d], np.abs(2 * t / total - 1), off.max(axis=1)])
+                off = np.maximum(np.abs(2 * t / total - 1), off.max(axis=1))
+                some = np.flatnonzero(among)
+                each[some] = np.maximum(each[some], off)
         each = np.minimum(each, 1e100)
         # Sums over every other node are worse: on a circle as cells' are in `weighted.Sums.add`,
         # along a friction as over a density with kinks: a third of 6.7e-3 where 2.2e-3 was missed.
@@ -278,9 +296,10 @@ class LayeredSums:
             self.best[rows, inner + i] = value
         every = list(product(*map(np.ndarray.tolist, keys)))
         for j in np.unique(best):
-            for some, found in self.nodes[every[j]].parts:
+            for part, at in self.nodes[every[j]].parts:
+                some = part.rows[at]
                 mine = np.isin(some, rows[best == j])
-                self.best[some[mine], :inner] = found.best[mine]
+                self.best[some[mine], :inner] = part.found.best[at][mine]
         none = ~np.isfinite(top)
         self.error[rows[none]], self.log_evidence[rows[none]] = np.inf, np.nan
         self.mean[rows[none]], self.sd[rows[none]] = np.nan, np.nan
@@ -348,7 +367,7 @@ class LayeredSums:
         """The nodes about the mass of one reading along each axis, and ln of the evidence there."""
         keys = self._keys(self.halvings[row])
         log = self._table(keys, np.array([row]), "log")[..., 0]
-        log = np.nan_to_num(log, nan=-np.inf)
+        log = np.where(np.isnan(log), -np.inf, log)
         best = np.unravel_index(log.argmax(), log.shape)
         out = []
         for d, axis in enumerate(self.axes):
@@ -384,6 +403,11 @@ class LayeredSums:
         for row in known:
             keys, log = self._box(int(row))
             at = np.array([row])
+            if self.layers.rolled and unknown == inner + self.layers.rolled[1]:
+                log, quantile = self._rolls(keys, log, stride)
+                held = np.ones(log.shape, dtype=bool)
+                yield mixed(at, log, held, quantile, SCORES[::stride], PARTS // stride)
+                continue
             if unknown >= inner:
                 d = unknown - inner
                 other = tuple(i for i in range(log.ndim) if i != d)
@@ -399,21 +423,38 @@ class LayeredSums:
             quantile = np.full((*log.shape, len(SCORES)), np.nan)
             for i in zip(*np.nonzero(held), strict=True):
                 key = self._wrapped(tuple(int(k[j]) for k, j in zip(keys, i, strict=True)))
-                quantile[i] = self._conditional(key, unknown)[row]
+                for part, where in self.nodes[key].parts:
+                    for own in np.flatnonzero(part.rows[where] == row):
+                        quantile[i] = self._conditional(part, unknown)[where][own]
             held &= np.isfinite(quantile[..., 0])
             yield mixed(at, log, held, quantile[..., ::stride], SCORES[::stride], PARTS // stride)
 
-    def _conditional(self, key: tuple[int, ...], unknown: int) -> Array:
-        """Quantiles (B, Q) at a node, of the readings that have mass there."""
-        if (key, unknown) not in self._quantiles:
-            node = self.nodes[key]
-            table = np.full((len(self.readings), len(SCORES)), np.nan)
-            for rows, found in node.parts:
-                wanted = node.log[rows] > self.log_evidence[rows] - self.drop
-                if wanted.any():  # half as fine as where there are no nodes
-                    table[rows] = extrapolated(found, ndtr(SCORES), unknown, 2, wanted)
-            self._quantiles[key, unknown] = table
-        return self._quantiles[key, unknown]
+    def _rolls(self, keys: list[Index], log: Array, stride: int) -> tuple[Array, Array]:
+        """At nodes of all but a roll: ln of the evidence (...), and quantiles (..., Q) of that."""
+        roll = self.layers.rolled[1] if self.layers.rolled else 0
+        log = np.moveaxis(log, roll, -1)
+        shape = log.shape[:-1]
+        x, fine = interpolate(log.reshape(-1, log.shape[-1]), 2 * PARTS // stride)
+        step = keys[roll][1] - keys[roll][0]
+        middle = keys[roll][0] + step * (x[1:] + x[:-1]) / 2
+        nodes = [middle if i == roll else k for i, k in enumerate(keys)]
+        value = self.layers.values(np.meshgrid(*nodes, indexing="ij"))[roll]
+        value = np.moveaxis(value, roll, -1).reshape(len(fine), -1)
+        half = self.axes[roll].unit * step * (x[1] - x[0]) / 2
+        with np.errstate(invalid="ignore"):
+            density = np.exp(fine - fine.max(axis=1, keepdims=True))
+        mass = (density[:, 1:] + density[:, :-1]) / 2
+        spans = Spans(np.arange(len(fine)), value - half, value + half, mass)
+        quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*shape, -1)
+        return np.logaddexp.reduce(log, axis=-1), quantile
+
+    def _conditional(self, part: _Part, unknown: int) -> Array:
+        """Quantiles (n, Q) of readings at nodes, of those that have mass there."""
+        if unknown not in part.quantiles:
+            wanted = part.log > self.log_evidence[part.rows] - self.drop
+            # Half as fine as where there are no nodes.
+            part.quantiles[unknown] = extrapolated(part.found, ndtr(SCORES), unknown, 2, wanted)
+        return part.quantiles[unknown]
 
     def quantiles(self, p: Array, unknown: int) -> Array:
         """Quantiles (B, Q) of an unknown."""
@@ -433,18 +474,17 @@ class LayeredSums:
             for i in np.flatnonzero(many):
                 at = np.unravel_index(i, log.shape)
                 own = tuple(k[j] for k, j in zip(keys, at, strict=True))
-                for rows, found in self.nodes[self._wrapped(own)].parts:
-                    if row in rows:
-                        place = int(np.flatnonzero(rows == row)[0])
-                        proposed, log_proposed = found.proposals(int(many[i]), rng, place)
+                for part, where in self.nodes[self._wrapped(own)].parts:
+                    for place in where.start + np.flatnonzero(part.rows[where] == row):
+                        proposed, log_proposed = part.found.proposals(int(many[i]), rng, place)
                         x.append(proposed)
                         step = np.array([k[1] - k[0] for k in keys])
                         z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
                         log_of.append(log_proposed + np.log(weight[i]))
             some, node = np.concatenate(x), np.concatenate(z)
-            further = [axis.value(k) for axis, k in zip(self.axes, node.T, strict=True)]
+            further = self.layers.values(node.T)
             contact, log_density = self.observer.contact(some, further=further)
-            log_density += sum(a.log_prior(k) for a, k in zip(self.axes, node.T, strict=True))
+            log_density += self.layers.log_prior(node.T)
             log_density += self.observer.log_likelihood(self.readings[row], contact)
             chosen = resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]

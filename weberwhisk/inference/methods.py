@@ -19,7 +19,8 @@ from ..receptors import Seed
 from . import tree
 from .approximate import find_mode, laplace, sample
 from .coordinates import is_all_around
-from .layers import LayeredSums, Layers
+from .layers import LayeredSums
+from .nodes import Layers
 from .observer import Observer
 from .result import (
     Estimate,
@@ -208,7 +209,7 @@ def sums_of(
         return PiecewiseSums(observer, parts)
     if len(observer.unknowns) > observer.inner:
         layers = Layers(observer, tolerance, observer.inner)
-        return layers.sums(readings, covariance, drop=drop)
+        return LayeredSums(layers, readings, covariance, drop)
     return tree_of(observer, tolerance).sums(readings, covariance, drop=drop)
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from .._util.values import Array, Index
 from ..mechanics.contact import Outcome
-from .coordinates import from_normal, is_all_around
+from .coordinates import from_normal, is_all_around, within_half_turn
 from .observer import Evaluated, Observer
+from .tree import Tree, tree_of
 
-__all__ = ["HALVINGS", "TURN", "Axis", "Conditional"]
+__all__ = ["HALVINGS", "TURN", "Axis", "Conditional", "Layers"]
 
 #: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
 HALVINGS = 6
@@ -65,10 +68,16 @@ class Axis:
     name: str
     observer: Observer
 
-    @property
+    @cached_property
+    def middle(self) -> float:
+        """The median of the prior."""
+        return float(self.observer.prior[self.name].median())
+
+    @cached_property
     def around(self) -> bool:
         """Whether it is an angle that may be any: a circle, with no ends."""
-        return self.name == "azimuth" and is_all_around(self.observer.prior[self.name])
+        all_around = self.name == "azimuth" and is_all_around(self.observer.prior[self.name])
+        return all_around or self.from_plane
 
     @property
     def unit(self) -> float:
@@ -81,42 +90,59 @@ class Axis:
         return np.arange(-FARTHEST * 2**HALVINGS, FARTHEST * 2**HALVINGS + 1, step)
 
     def value(self, node: Any) -> Array:
-        """Values of the unknown at nodes, which need not be whole."""
+        """Values of the unknown at nodes, which need not be whole.
+
+        In place of a roll that is `from_plane`, of the azimuth less that.
+        """
         prior, z = self.observer.prior[self.name], self.unit * np.asarray(node, dtype=float)
+        if self.from_plane:
+            return z
         if self.around:
-            return np.asarray(float(prior.median()) + z)
+            return np.asarray(self.middle + z)
         return from_normal(prior)(z)
 
     def log_prior(self, node: Any) -> Array:
         """ln of the prior density at nodes, over the coordinate."""
         z = self.unit * np.asarray(node, dtype=float)
+        if self.from_plane:
+            return np.zeros(z.shape)
         if self.around:
             return np.full(z.shape, -np.log(2 * np.pi))
         return np.asarray(-0.5 * (z * z + np.log(2 * np.pi)))
 
-    @property
+    @cached_property
     def known(self) -> str:
         """How signals at any value follow from those at one, "" where they do not.
 
         All are proportional to a "stiffness"; the directions of a straight whisker's forces are
-        those at an azimuth of 0 "turned" by it; and its roll leaves all "as they are".
+        those at an azimuth of 0 "turned" by it, and its roll leaves all "as they are"; those of a
+        curved one are turned by the roll, from the same azimuth from its plane of curvature.
         """
         cue, noise = self.observer.cue, self.observer.noise
         if self.name == "stiffness" and cue.is_scale and noise.is_scale_family:
             return "scaled"
-        if self.name not in ("azimuth", "roll") or not self.observer.forward.is_flat:
-            return ""
         if self.name == "roll":
-            return "as they are"
-        size = len(cue.signal_names)
-        fixed = np.asarray(cue.circular) & (noise.weber_fractions(size) == 0)
-        plain = np.array_equal(fixed, cue.circular) and noise.gaussian_on == "linear"
-        alone = cue.all_but_one is not None
-        return "turned" if alone and plain else ""
+            return "as they are" if self.observer.forward.is_flat else "turned" * self.from_plane
+        if self.name == "azimuth" and self.observer.forward.is_flat:
+            return "turned" * _turns(self.observer)
+        return ""
 
-    def asked(self, readings: Array, covariance: Array | None, node: int) -> Any:
-        """Readings and covariances to ask of the tree at this node, and ln of the Jacobian."""
-        value = float(self.value(node))
+    @cached_property
+    def from_plane(self) -> bool:
+        """Whether nodes of a roll are those of the azimuth from the plane of curvature.
+
+        All rolls at one of these share its tree. It takes a prior of less than a turn that is not
+        narrow.
+        """
+        if self.name != "roll" or self.observer.forward.is_flat or not _turns(self.observer):
+            return False
+        prior = self.observer.prior["roll"]
+        beyond = prior.cdf(self.middle - np.pi) + prior.sf(self.middle + np.pi)
+        # Along a narrower ridge of both azimuths there are too many nodes.
+        return bool(beyond < 1e-9 and prior.std() > 2 * np.pi / (4 * TURN))
+
+    def asked(self, readings: Array, covariance: Array | None, value: float) -> Any:
+        """Readings and covariances to ask of the tree at a value, and ln of the Jacobian."""
         if self.known == "turned":
             readings = readings.copy()
             readings[:, self.observer.circular] -= value
@@ -125,6 +151,15 @@ class Axis:
             covariance = None if covariance is None else covariance / value**2
             return readings / value, covariance, -size * np.log(value)
         return readings, covariance, 0.0
+
+
+def _turns(observer: Observer) -> bool:
+    """Whether readings turned about the base tangent are as probable of contacts so turned."""
+    size, circular = len(observer.cue.signal_names), np.asarray(observer.cue.circular)
+    if not observer.cue.turns or np.any(observer.noise.weber_fractions(size)[circular] != 0):
+        return False
+    parts = observer.noise.components(size)
+    return all(c.noise.gaussian_on == "linear" for c in parts if circular[c.signals].any())
 
 
 def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
@@ -138,3 +173,55 @@ def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
             return float(high)
         low, high = r[held[-1]], r[held[-1] + 1]
     return float(low)
+
+
+class Layers:
+    """Posteriors of an observer some of whose unknowns have priors alone, or are given at nodes."""
+
+    def __init__(
+        self, observer: Observer, tolerance: float, inner: int | None = None,
+        given: Mapping[str, int] | None = None,
+    ) -> None:  # fmt: skip
+        self.observer, self.tolerance, self.given = observer, tolerance, dict(given or {})
+        self.inner = observer.bounded if inner is None else inner
+        self._all = [Axis(name, observer) for name in observer.unknowns[self.inner :]]
+        self.axes = [axis for axis in self._all if axis.name not in self.given]
+        #: The numbers of the axes of the azimuth and of a roll whose nodes are `Axis.from_plane`.
+        self.rolled = next(
+            ((i - 1, i) for i, axis in enumerate(self.axes) if axis.from_plane), None
+        )
+
+    def further(self, nodes: Array) -> Array:
+        """In the trees that serve nodes (D, P), values (P, F) of what has a prior alone."""
+        at = dict(zip((axis.name for axis in self.axes), nodes, strict=True)) | self.given
+        standard: dict[str, Any] = {"scaled": 1.0, "turned": 0.0}
+        out = {
+            axis.name: standard[axis.known]
+            if axis.known in standard
+            else axis.value(0 if axis.known else at[axis.name])
+            for axis in self._all
+        }
+        if self.rolled:  # all as without a roll
+            out["azimuth"] = self.axes[self.rolled[1]].value(at["roll"])
+        columns = [np.broadcast_to(value, nodes.shape[1:]) for value in out.values()]
+        return np.stack(columns, axis=-1)
+
+    def tree(self, further: Array) -> Tree:
+        """The tree of distance and angle where what has a prior alone is given (F,)."""
+        return tree_of(Conditional(self.observer, tuple(further.tolist())), self.tolerance)
+
+    def values(self, nodes: Any) -> list[Array]:
+        """Values of the unknowns at nodes, (D, ...)."""
+        out = [axis.value(node) for axis, node in zip(self.axes, nodes, strict=True)]
+        if self.rolled:
+            azimuth, roll = self.rolled
+            middle = self.axes[roll].middle
+            out[roll] = middle + within_half_turn(out[azimuth] - out[roll] - middle)
+        return out
+
+    def log_prior(self, nodes: Any) -> Array:
+        """ln of the prior density at nodes (D, ...), over their coordinates."""
+        out = sum(axis.log_prior(node) for axis, node in zip(self.axes, nodes, strict=True))
+        if self.rolled:
+            out = out + self.observer.prior["roll"].logpdf(self.values(nodes)[self.rolled[1]])
+        return np.asarray(out)

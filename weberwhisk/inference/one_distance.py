@@ -19,9 +19,9 @@ from scipy.special import gamma, gammainc, logsumexp, ndtr
 
 from .._util.values import Array, Index
 from .coordinates import constrain_distance, leaps
-from .layers import SCORES, Layers
+from .layers import SCORES, LayeredSums
 from .methods import pieces_of
-from .nodes import HALVINGS, Axis
+from .nodes import HALVINGS, Axis, Layers
 from .observer import Observer
 from .result import held_prior
 from .tree import DROP, TOLERANCE, tree_of
@@ -137,22 +137,23 @@ def _sums(
     """Weighted cells of some of the readings, and ln of the evidence that they stand for."""
     slope = 0.0
     if axis:
-        y, covariance, slope = axis.asked(y, covariance, node)
+        y, covariance, slope = axis.asked(y, covariance, float(axis.value(node)))
     layers = Layers(observer, TOLERANCE, given={axis.name: node} if axis else None)
     if not layers.axes:
-        tree = layers.tree(()) if axis else tree_of(observer, TOLERANCE)
+        alone = np.empty((0, 1))
+        tree = layers.tree(*layers.further(alone)) if axis else tree_of(observer, TOLERANCE)
         found = tree.sums(y, covariance, drop=2 * DROP)
         yield np.arange(len(y)), found, found.log_evidence + slope
         return
-    whole = layers.sums(y, covariance, drop=2 * DROP)
-    for key, at in whole.nodes.items():
-        # Nodes of steps that were halved are asked again by the finer ones: all count alike.
-        first, second = layers.axes[0].nodes(0)[:2]
-        step = (second - first) >> whole.halvings[:, 0]
-        for rows, found in at.parts:
-            mine = (key[0] - first) % step[rows] == 0
-            width = np.log(layers.axes[0].unit * step[rows])
-            yield rows, found, np.where(mine, at.log[rows] + width + slope, -np.inf)
+    whole = LayeredSums(layers, y, covariance, 2 * DROP)
+    # Nodes of steps that were halved are asked again by the finer ones: all count alike.
+    first, second = layers.axes[0].nodes(0)[:2]
+    step = (second - first) >> whole.halvings[:, 0]
+    for part in whole.parts:
+        mine = (part.node[:, 0] - first) % step[part.rows] == 0
+        width = np.log(layers.axes[0].unit * step[part.rows])
+        log = np.where(mine, part.log + width + slope, -np.inf)
+        yield part.rows, part.found, log
 
 
 def _parts(
@@ -163,7 +164,7 @@ def _parts(
     error = np.zeros(len(out))
     for observer in pieces_of(group.observer):
         for rows, found, log in _sums(observer, group.readings, group.covariance, axis, node):
-            error[rows] = np.maximum(error[rows], np.nan_to_num(found.error, posinf=0.0))
+            np.maximum.at(error, rows, np.nan_to_num(found.error, posinf=0.0))
             for i, one in _layers(found, spans):
                 if np.isfinite(log[i]):
                     norm = log[i] - found.log_evidence[i]
