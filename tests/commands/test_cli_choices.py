@@ -1,0 +1,261 @@
+"""`weberwhisk jnd`, `simulate` and `fit`: answers, files, and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_lines import SOFT, answer, refused, rows
+
+import weberwhisk as ww
+from weberwhisk import cli
+from weberwhisk.cli import run_app
+
+
+def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = ["--radial-distance-mm", "10,40,60", "--draws", "20", "--seed", "4"]
+    result = answer(capsys, "jnd", *SOFT, *scene)
+    table = rows(result)
+    assert list(table["radial_distance_mm"]) == [10, 40, 60]
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), ww.cues.Compliance())
+    expected = ww.jnd_curve(observer, [10e-3, 40e-3], n_readings=20, seed=1)
+    for column in ("closed_form", "fisher"):
+        found = table[f"{column}_mm"][:2].astype(float)
+        np.testing.assert_allclose(found, expected[column] * 1e3, rtol=1e-9)
+    assert table["posterior_mm"][0] == pytest.approx(expected["posterior"][0] * 1e3, rel=0.1)
+    assert table["posterior_mm"][2] is None or np.isnan(table["posterior_mm"][2])
+    assert table["outcome"][2].startswith("out of reach")
+    assert result == answer(capsys, "jnd", *SOFT, *scene)
+
+
+@pytest.mark.once
+def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = [*SOFT, "--cue", "moment", "--deflection-angle-deg", "5"]
+    out = tmp_path / "out"
+    assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
+    capsys.readouterr()
+    found = answer(capsys, "fit", str(out / "trials.csv"), *scene)
+    assert found["lower"] < 0.1 < found["upper"]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ["--standard", "50,100"],
+        ["--identity", "C2", "--standard-mm", "15,24"],
+        ["--identity", "C2", "--cue", "force-map", "--standard-mm", "20"],
+    ],
+)
+def test_simulate_and_fit_find_the_truth_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: list[str]
+) -> None:
+    out = tmp_path / "out"
+    truth = ["--weber-fraction", "0.15", "--lapse-high", "0.02", "--trials-per-level", "60"]
+    simulated = answer(capsys, "simulate", *scene, *truth, "--out", str(out))
+    table = pd.read_csv(out / "trials.csv")
+    assert len(rows(simulated)) == len(table)
+    known = json.loads((out / "truth.json").read_text("utf-8"))
+    assert known["weber_fraction"] == 0.15
+    assert known == simulated["truth"]
+    standard = next(i for i, word in enumerate(scene) if word.startswith("--standard"))
+    felt = scene[:standard]
+    found = answer(capsys, "fit", str(out / "trials.csv"), *felt, "--out", str(out))
+    assert found["status"] == "DETERMINED"
+    sd = found["parameters"]["weber_fraction"]["sd"]  # type: ignore[index]
+    assert abs(found["weber_fraction"] - 0.15) < 4 * sd  # type: ignore[operator]
+    made = {path.name for path in out.iterdir()}
+    assert made == {
+        "trials.csv", "trials.png", "trials.svg", "truth.json",
+        "simulate.run.json", "fit.csv",
+        "fit.json", "fit_report.txt", "fit_methods.txt", "psychometric.png", "psychometric.svg",
+        "fit.run.json",
+    }  # fmt: skip
+    assert json.loads((out / "fit.json").read_text("utf-8")) == found
+
+
+def test_simulate_prints_its_table_or_where_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ["simulate", "--trials-per-level", "1", "--offset", "-0.1,0.1", "--task", "2IFC"]
+    assert run_app(cli.app, short) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("2 trials of 2IFC, 0 without an answer; 1 standard, ")
+    assert lines[1] == "session,trial,standard,stimulus_1,stimulus_2,choice"
+    assert len(lines) == 4
+    assert run_app(cli.app, [*short, "--out", str(tmp_path)]) == 0
+    assert f"Written to {tmp_path}: trials.csv" in capsys.readouterr().out
+
+
+def write(path: Path, *lines: str) -> str:
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return str(path)
+
+
+def test_fit_takes_columns_labels_subjects_and_sessions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        f"{who},{day},10,{10 + gap},{'R' if (gap > 0) != (i % 10 == 0) else 'L'}"
+        for who in "ab"
+        for day in range(1, 5)
+        for gap in (-3, -1, 1, 3)
+        for i in range(10)
+    ]
+    file = write(tmp_path / "t.csv", "subject,session,left,right,said", *lines)
+    options = ["--column", "stimulus_1=left", "--column", "stimulus_2=right"]
+    options += ["--column", "choice=said", "--label", "L=first", "--label", "R=second"]
+    assert "write --subject a, or --together for all." in refused(capsys, "fit", file, *options)
+    found = answer(capsys, "fit", file, *options, "--subject", "b", "--session", "1,3-4")
+    assert found["data"]["n_trials"] == 120  # type: ignore[index]
+    assert "no trials have session" in refused(
+        capsys, "fit", file, *options, "--subject", "b", "--session", "9"
+    )
+
+
+@pytest.mark.once
+def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    design = ["--standard", "1,4", "--weber-fraction", "0.15", "--sessions", "2"]
+    answer(capsys, "simulate", *design, "--trials-per-level", "30", "--out", str(out))
+    file = str(out / "trials.csv")
+    plain = answer(capsys, "fit", file)
+    found = answer(capsys, "fit", file, "--lapse-prior", "1,20", "--law", "--out", str(out))
+    assert found["parameters"]["lapse_low"]["prior"] == "beta(1, 20)"  # type: ignore[index]
+    assert found["weber_fraction"] != plain["weber_fraction"]
+    assert len(pd.read_csv(out / "law.csv")) == 2
+    assert found["law"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
+    levels = answer(capsys, "fit", file, "--prior", "levels", "--lapse-prior", "1,20")
+    believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
+    assert believed.endswith("about the levels shown")
+    assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
+    moved = answer(capsys, "fit", file, "--effect", "floor", "--lapse-prior", "1,20")
+    assert moved["settings"]["effects"] == ["floor"]  # type: ignore[index]
+
+
+def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    animals = ["--subjects", "3", "--trials-per-level", "12"]
+    answer(capsys, "simulate", *animals, "--out", str(tmp_path / "s"))
+    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
+    known = ["--bias", "none"]  # one unknown less to integrate
+    assert run_app(cli.app, ["fit", file, "--together", *known, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "Population, median Weber fraction: 0." in said
+    assert said.startswith((out / "fit_report.txt").read_text("utf-8"))
+    assert "of 3 animals" in (out / "fit_methods.txt").read_text("utf-8")
+    found = json.loads((out / "fit.json").read_text("utf-8"))
+    assert [row["subject"] for row in found["subjects"]] == ["s1", "s2", "s3"]  # type: ignore[attr-defined, union-attr]
+    made = {path.name for path in out.iterdir()}
+    figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
+    texts = {"fit_report.txt", "fit_methods.txt"}
+    assert made == {"fit.json", "fit.run.json", "subjects.csv"} | texts | figures
+
+
+def test_fit_of_states_has_the_course_of_engagement(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trials = ww.simulate_trials(
+        sessions=2, trials_per_level=20, states=ww.behaviour.States(engaged=0.6), seed=3
+    )
+    file, out = tmp_path / "trials.csv", tmp_path / "out"
+    trials.frame.rename(columns={"count": "choice"}).drop(columns="n").to_csv(file, index=False)
+    assert run_app(cli.app, ["fit", str(file), "--states", "3", "--out", str(out)]) == 0
+    assert "The animal was engaged on" in capsys.readouterr().out
+    assert "three states" in (out / "fit_methods.txt").read_text("utf-8")
+    course = pd.read_csv(out / "engagement.csv")
+    assert course["engaged"].between(0, 1).all()
+    assert len(course) == len(trials.frame)
+    assert (out / "engagement.png").is_file()
+    assert "leave --effect, --states" in refused(
+        capsys, "fit", str(file), "--states", "3", "--together"
+    )
+
+
+HEADER = "stimulus_1,stimulus_2,choice"
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "sentence"),
+    [
+        ([], [], "the file is empty; give a header"),
+        (["a,b", "1,2"], [], "--column choice='<its name>' maps one"),
+        ([HEADER, "-1,2,1"], [], "read logarithms with --scale log."),
+        ([HEADER, "1,2,L"], [], "or give --label LABEL=first and --label LABEL=second."),
+        ([HEADER, "1,2,1"], ["--label", "1=third"], "'third' is unknown"),
+        ([HEADER, "1,2,1"], ["--column", "choice"], "takes a pair such as choice=response"),
+        ([HEADER, "1,2,1"], ["--method", "laplace"], "method 'laplace' is unknown"),
+        ([HEADER, "1,2,1"], ["--session", "1"], "there is no column 'session'"),
+        ([HEADER, "1,2,1"], ["--cue", "compliance"], "--cue needs a whisker"),
+        ([HEADER, ".02,.03,1"], ["--identity", "C2"], "as if written in metres"),
+        ([HEADER, "20,50,1"], ["--identity", "C2"], "50 mm is beyond the whisker's length"),
+        ([HEADER, "20,25,1"], ["--identity", "C2", "--scale", "log"], "leave --scale out"),
+        ([HEADER, "1,2,1"], ["--effect", "drft"], "did you mean 'drift'?"),
+        ([HEADER, "1,2,1"], ["--lapse-prior", "0,3"], "takes two numbers above zero"),
+        ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --states"),
+        ([HEADER, "1,2,1"], ["--together"], "there is no column 'subject'"),
+    ],
+)
+def test_fit_refuses_and_leaves_nothing(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    lines: list[str],
+    options: list[str],
+    sentence: str,
+) -> None:
+    file = tmp_path / "t.csv"
+    file.write_text("\n".join(lines), "utf-8")
+    assert sentence in refused(capsys, "fit", str(file), *options, "--out", str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == [file]
+
+
+C2 = ["--identity", "C2"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["fit"], "Missing argument 'FILE'"),
+        (["fit", "nowhere.csv"], "'nowhere.csv' is not a file; give the path"),
+        (["jnd", *C2, "--weber-fraction", "-1"], "--weber-fraction must be above zero, got -1"),
+        (["jnd", *C2, "--weber-fraction", "0.1,0.2"], "each signal of the cue (1), got 2"),
+        (["jnd", *C2, "--cue", "smell"], "cue 'smell' is unknown"),
+        (["jnd", *C2, "--draws", "1"], "needs at least two noisy readings"),
+        (["jnd", *C2, "--criterion", "75%"], "The criterion '75%' is unknown"),
+        (["jnd", *C2, "--method", "x"], "method 'x' is unknown"),
+        (["jnd", *C2, "--deflection-angle-deg", "5,9"], "one angle of tap, got 2 values"),
+        (["jnd", *C2, "--deflection-angle-deg", "-3"], "must not be negative, got -3"),
+        (
+            ["jnd", *C2, "--cue", "two-whiskers", "--weber-fraction", "0.1"],
+            "no use for --weber-fraction",
+        ),
+        (["jnd", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
+        (["simulate", *C2, "--cue", "vibrissa-length"], "cue 'vibrissa-length' is unknown"),
+        (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
+        (["simulate", "--effect", "history"], "the value of an effect must be a number"),
+        (["simulate", "--effect", "covariate:laser"], "write covariate:laser:0.3"),
+        (["simulate", "--weber-fraction", "-1"], "--weber-fraction must be above zero"),
+        (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),
+        (["simulate", "--standard-mm", "3"], "--standard-mm needs a whisker"),
+        (["simulate", *C2], "are given by --standard-mm, got none"),
+        (["simulate", *C2, "--standard", "3"], "are given by --standard-mm, got --standard"),
+        (["simulate", *C2, "--standard-mm", "40"], "stimulus 40 lies outside"),
+        (["simulate", "--lapse-low", "0.6", "--lapse-high", "0.6"], "must be below 1, got 1.2"),
+        (["simulate", "--task", "foo"], "task 'foo' is unknown"),
+        (
+            ["simulate", *C2, "--standard-mm", "9", "--cue", "force-map",
+             "--deflection-angle-deg", "5,9"],
+            "at one deflection angle, got 2",
+        ),
+        (["quickstart", "--identity", "Q7"], "whisker 'Q7' is unknown"),
+    ],
+)  # fmt: skip
+def test_other_commands_refuse_and_leave_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
+) -> None:
+    assert sentence in refused(capsys, *arguments, "--out", str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == []
