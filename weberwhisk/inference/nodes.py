@@ -17,9 +17,10 @@ from .tree import Tree, tree_of
 
 __all__ = ["HALVINGS", "TURN", "Axis", "Conditional", "Layers"]
 
-#: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
+#: Most times that nodes are halved. There are 9 to begin with, within 4.7 sd of a prior, or 16 to a
+#: turn.
 HALVINGS = 6
-FIRST, FARTHEST, TURN = 1.2, 4, 16
+FIRST, FARTHEST, TURN = 0.6, 4, 16
 
 
 class Conditional:
@@ -62,7 +63,9 @@ class Conditional:
 class Axis:
     """One unknown that has a prior alone, and what is known of how signals depend on it.
 
-    Nodes are counted in units of the smallest step, from the middle of the prior.
+    Nodes are counted in units of the smallest step, from the middle of the prior. They are even in
+    t, where z = t + t³/6 is the standard normal score: even in z, half of them would stand beyond
+    2.4 sd (frictions took 33 to 129 nodes, and take 17 to 65).
     """
 
     name: str
@@ -94,21 +97,22 @@ class Axis:
 
         In place of a roll that is `from_plane`, of the azimuth less that.
         """
-        prior, z = self.observer.prior[self.name], self.unit * np.asarray(node, dtype=float)
+        t = self.unit * np.asarray(node, dtype=float)
         if self.from_plane:
-            return z
+            return t
         if self.around:
-            return np.asarray(self.middle + z)
-        return from_normal(prior)(z)
+            return np.asarray(self.middle + t)
+        return from_normal(self.observer.prior[self.name])(t + t**3 / 6)
 
     def log_prior(self, node: Any) -> Array:
         """ln of the prior density at nodes, over the coordinate."""
-        z = self.unit * np.asarray(node, dtype=float)
+        t = self.unit * np.asarray(node, dtype=float)
         if self.from_plane:
-            return np.zeros(z.shape)
+            return np.zeros(t.shape)
         if self.around:
-            return np.full(z.shape, -np.log(2 * np.pi))
-        return np.asarray(-0.5 * (z * z + np.log(2 * np.pi)))
+            return np.full(t.shape, -np.log(2 * np.pi))
+        z, slope = t + t**3 / 6, 1 + t**2 / 2
+        return np.asarray(np.log(slope) - 0.5 * (z * z + np.log(2 * np.pi)))
 
     @cached_property
     def known(self) -> str:
