@@ -1,6 +1,6 @@
-"""Measured contacts: from trackers' files and tables of forces to distances.
+"""Measured contacts: radial distances from trackers' files and from tables of forces.
 
-`locate` makes one posterior of each row of a table, and one of each touch.
+`locate` infers one posterior for each row of a table, and one for each touch.
 """
 
 from ..cues.protocol import MeasuredAngle

@@ -26,28 +26,28 @@ from .mixture import curvature_at
 
 __all__ = ["Calibration", "HingedTap", "averaged", "calibrate"]
 
-#: Share of a slope that its noise is at least: slopes without any would have no likelihood.
+#: Least Weber fraction of a slope: without noise there would be no likelihood.
 LEAST = 1e-4
-#: Beliefs, mean and sd: logit of length over apex distance; ln of hinge over length; logit of the
-#: misfit of one distance; ln of k.
+#: Normal priors (mean, sd): logit of length over apex distance; ln of hinge over length; logit of
+#: the misfit of one distance; ln of k.
 BELIEFS = np.array([[1.5, 2.0], [-3.0, 2.0], [-4.5, 1.5], [-3.0, 1.5]])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HingedTap(Cue):
-    """The slope of a light tap on a whisker that stands on a rotational spring.
+    """The slope of a light tap on a whisker whose base is a rotational spring (a hinge).
 
-    Whisker and spring are in series: slope = gain·3EI₀ω/(1/(1/r − 1/A) + h), equation (2.1) with
-    the hinge's compliance h = 3EI₀/(stiffness of the spring), m.
+    Whisker and hinge are in series: slope = gain·3EI₀ω/(1/(1/r − 1/A) + h), equation (2.1) with
+    the compliance of the hinge, h = 3EI₀/(its rotational stiffness), in metres.
 
     Parameters
     ----------
     hinge : float
-        h, m; 0 for a clamped base.
+        Compliance h of the hinge, m; 0 for a clamped base.
     gain : float
-        Of the sensor, in its units (counts a second) for each N m/s.
+        Gain of the sensor: its units (counts per second) per N m/s.
     angular_velocity : float
-        ω, rad/s.
+        Angular velocity ω of the tap, rad/s.
 
     Examples
     --------
@@ -79,37 +79,38 @@ def _slope(r: Array, apex: Any, hinge: Any) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Shown):
-    """What taps at known distances tell of a whisker and its sensor.
+    """A whisker and its sensor, calibrated by taps at known distances; from `calibrate`.
 
     Attributes
     ----------
     whisker : Whisker
-        With the apex distance found, and in SI units the stiffness; else the gain takes it up.
+        With the fitted apex distance and, unless slopes are counts, the fitted stiffness.
     cue : HingedTap
+        With the fitted hinge and, where slopes are counts, the fitted gain.
     noise : Weber
-        The sensor's own Weber fraction: how taps at one distance scatter.
-        ``locate(table, c.whisker, cue=c.cue, noise=c.noise)`` takes all three as exact,
-        ``locate(table, c)`` does not.
+        Weber fraction of the sensor: the scatter of taps at one distance.
+        ``locate(table, c.whisker, cue=c.cue, noise=c.noise)`` takes whisker, cue and noise as
+        exact; ``locate(table, c)`` includes their uncertainty.
     parameters : DataFrame
         Posterior mean, sd and 95 % interval of stiffness (N m²) or gain, apex distance and hinge
-        (mm), misfit, Weber fraction. The misfit is the sd of what the slopes at one distance have
-        in common beside the curve, as a share of them.
+        (mm), misfit and Weber fraction. The misfit is the sd, relative to the slope, of the
+        deviation from the curve that all slopes at one distance share.
     residuals : DataFrame
-        A row a tap: distance, slope measured and fitted, and the residual in sds.
+        One row per tap: distance, measured and fitted slope, and the residual in sds.
     left_out : DataFrame
-        A row a distance: where its taps are located by a calibration without them, and the error as
+        One row per distance: where a calibration without its taps locates them, and the error as
         a share of the length.
     p_value : float
-        Of the scatter of the distances' means about the curve, beside that of taps at one distance
-        (F test of lack of fit). NaN where that cannot be tested: no distance was tapped twice (to
-        within 1 % of the length), or there are no more distances than parameters.
+        F test of lack of fit: scatter of the distances' means about the curve against the scatter
+        of taps at one distance. NaN where no distance was tapped twice (to within 1 % of the
+        length), or where there are no more distances than parameters.
     effective_draws : float
-        Of the posterior: below some hundred its numbers are rough.
+        Effective sample size of the posterior; below about a hundred its numbers are imprecise.
     samples : tuple of (Whisker, HingedTap, Weber)
-        Some draws of the posterior, the misfit of a distance in their gain. ``locate(table, c)``
-        is the mean over them, so that what the taps left open widens the distances.
+        Draws from the posterior, with a draw of the misfit in each gain. ``locate(table, c)``
+        averages over them, so that the calibration's uncertainty widens the intervals.
     by_velocity : bool
-        Whether slopes were divided by an angular velocity, which contacts then need too.
+        Whether slopes were divided by an angular velocity; contacts then need one too.
     """
 
     _figure: ClassVar[str] = "calibrated"
@@ -137,12 +138,12 @@ class Calibration(Shown):
 
     @property
     def misfit(self) -> float:
-        """Sd of what slopes at one distance have in common beside the curve, as a share."""
+        """Relative sd of the deviation from the curve that all slopes at one distance share."""
         return float(self.parameters["mean"]["misfit"])
 
     @property
     def message(self) -> str:
-        """How well it went, in a sentence."""
+        """The quality of the fit, in a sentence."""
         worst = self.left_out["error_share"].abs().max()
         left = f"a distance left out is found within {100 * worst:.1f} % of the length"
         if self.fits:
@@ -157,43 +158,41 @@ class Calibration(Shown):
 
 
 def calibrate(
-    table: pd.DataFrame | str | Path,
-    whisker: Whisker,
-    *,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    counts: bool = False,
-    hinge: bool = True,
-    draws: int = 20_000,
-    seed: Seed = 1,
-) -> Calibration:
+    table: pd.DataFrame | str | Path, whisker: Whisker, *, columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None, counts: bool = False, hinge: bool = True,
+    draws: int = 20_000, seed: Seed = 1,
+) -> Calibration:  # fmt: skip
     """Calibrate a whisker and its sensor by taps at known distances.
 
     Parameters
     ----------
     table : DataFrame or path
-        A row a tap: `radial_distance_mm` and `moment_rate`, the slope of the signal over time; with
-        `angular_velocity` the slope is divided by that. Several taps at each distance tell the
-        sensor's noise from what the model lacks.
+        One row per tap: `radial_distance_mm` and `moment_rate`, the slope of the signal over time,
+        which is divided by `angular_velocity` where there is such a column. Several taps at each
+        distance separate the sensor's noise from the misfit of the model.
     whisker : Whisker
-        Its length, base radius and modulus; taper and stiffness (or gain) are found.
+        Gives length, base radius and modulus; taper and stiffness (or gain) are fitted.
     columns, units
-        As of `locate`, of ``radial_distance`` too.
+        As for `locate`; ``radial_distance`` may be mapped too.
     counts : bool
-        The slope is in counts a second: the sensor's gain is found, with the whisker's stiffness as
-        given, since one slope cannot tell the two apart.
+        Whether slopes are in counts per second. Then the sensor's gain is fitted and the whisker's
+        stiffness is taken as given, because slopes determine only their product.
     hinge : bool
-        Whether the base may give way.
+        Whether the base may rotate.
     draws : int
-        Of the posterior, by importance sampling about its mode.
+        Draws from the posterior, by importance sampling about its mode.
     seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    Calibration
 
     Raises
     ------
     ValueError
-        For columns that are not there, fewer than five taps or four distances, distances that are
-        not on the whisker or seem to be in metres, and slopes that are not positive or, unless
-        they are counts, not of the unit that they should be.
+        For missing columns, fewer than five taps or four distances, distances beyond the whisker
+        or apparently in metres, slopes that are not positive and, unless slopes are counts, slopes
+        apparently in another unit.
 
     Examples
     --------
@@ -214,7 +213,7 @@ def calibrate(
     mode, covariance = _mode(r, y, whisker, hinge)
     root = np.linalg.cholesky(covariance)
     normal = rng.standard_normal((draws, len(mode)))
-    df = 5  # Student's tails about the mode, heavier than the posterior's
+    df = 5  # Student's t about the mode: its tails are heavier than the posterior's
     wider = np.sqrt(df / rng.chisquare(df, draws))[:, None]
     x = mode + (normal * wider) @ root.T
     log = _log_density(x, r, y, _first_taps(r, whisker), whisker)
@@ -235,14 +234,14 @@ def calibrate(
         rows[name] = {"mean": mean, "sd": sd, "low_95": low, "high_95": high}
     parameters = pd.DataFrame.from_dict(rows, orient="index")
     found, cue = _as_found(mode, whisker, counts)
-    best_scale, best_apex, best_give = (float(v) for v in _natural(mode, whisker)[:3])
+    best_scale, best_apex, best_give = _natural(mode, whisker)[:3]
     noise = Weber(float(rows["weber_fraction"]["mean"]))
     fitted = best_scale * _slope(r, best_apex, best_give)
-    residual = (y / fitted - 1) / noise.weber_fraction
-    residuals = pd.DataFrame(
-        {"radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted, "residual_sd": residual}
-    )
-    # What `locate` goes by: the sd of the mean of 24 draws is a fifth of what they add.
+    residuals = pd.DataFrame({
+        "radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted,
+        "residual_sd": (y / fitted - 1) / noise.weber_fraction,
+    })  # fmt: skip
+    # `locate` averages over these: the mean of 24 draws has an sd of a fifth of what they add.
     kept = rng.choice(draws, 24, p=weight)
     off = misfit[kept] * ndtri((rng.permutation(kept.size) + 0.5) / kept.size)
     samples = tuple(
@@ -259,7 +258,7 @@ def calibrate(
 def _as_found(
     x: Array, whisker: Whisker, counts: bool, times: float = 1.0
 ) -> tuple[Whisker, HingedTap]:
-    """The whisker and its sensor at x, slopes being `times` those of the model."""
+    """The whisker and its sensor at x, with slopes `times` the model's."""
     scale, apex, give = (float(v) for v in _natural(x, whisker)[:3])
     tip = whisker.base_radius * (1 - whisker.length / apex)
     modulus = whisker.youngs_modulus
@@ -273,7 +272,7 @@ def _as_found(
 def _taps(
     table: Any, whisker: Whisker, columns: Any, units: Any, counts: bool
 ) -> tuple[Array, Array, bool]:
-    """Distances, m, and slopes of the taps; whether these were divided by a velocity."""
+    """Distances (m) and slopes of the taps; whether slopes were divided by a velocity."""
     _, si, found = read_contacts(table, columns, units)
     if missing := [name for name in ("radial_distance", "moment_rate") if name not in si]:
         raise ValueError(
@@ -322,10 +321,10 @@ def _taps(
 
 
 def _first_taps(r: Array, whisker: Whisker) -> Index:
-    """Where the taps at each distance begin, of ascending distances."""
+    """Index of the first tap at each distance; r ascends, and 1 % of the length is one place."""
     first = [0]
     for i in range(len(r)):
-        if r[i] - r[first[-1]] > 0.01 * whisker.length:  # a hundredth: at one distance
+        if r[i] - r[first[-1]] > 0.01 * whisker.length:
             first.append(i)
     return np.array(first[: len(r)], dtype=np.intp)
 
@@ -365,7 +364,7 @@ def _mode(
         return -float(_log_density(np.asarray(x), r, y, first, whisker))
 
     def off(x: Array) -> Array:
-        """Of the curve alone; a hundredth of the belief keeps what the taps leave open."""
+        """Residuals of the curve; 0.01 of the prior's fix parameters that the taps do not."""
         scale, apex, give = _natural(np.append(x, [0.0, 0.0]), whisker)[:3]
         believed = (x[1:] - BELIEFS[: len(x) - 1, 0]) / BELIEFS[: len(x) - 1, 1]
         return np.append(np.log(y / (scale * _slope(r, apex, give))), 0.01 * believed)
@@ -385,9 +384,9 @@ def _left_out(r: Array, y: Array, whisker: Whisker, mode: Array) -> pd.DataFrame
     rows = []
     first = _first_taps(r, whisker)
     for begin, end in zip(first, [*first[1:], len(r)], strict=True):
-        own = (np.arange(len(r)) >= begin) & (np.arange(len(r)) < end)
-        found, _ = _mode(r[~own], y[~own], whisker, len(mode) > 4, mode)
-        scale, apex, give = (float(v) for v in _natural(found, whisker)[:3])
+        own, rest = slice(begin, end), np.r_[:begin, end : len(r)]
+        found, _ = _mode(r[rest], y[rest], whisker, len(mode) > 4, mode)
+        scale, apex, give = _natural(found, whisker)[:3]
         # slope = scale/(1/(1/r − 1/A) + h), solved for r.
         inside = scale / y[own].mean() - give
         place = r[own].mean()
@@ -398,7 +397,7 @@ def _left_out(r: Array, y: Array, whisker: Whisker, mode: Array) -> pd.DataFrame
 
 
 def _lack_of_fit(r: Array, ratio: Array, parameters: int, whisker: Whisker) -> float:
-    """p of the scatter of the means about 1, beside the scatter within distances."""
+    """p of the scatter of the distances' means about 1, against that within distances."""
     groups = np.split(ratio, _first_taps(r, whisker)[1:])
     within = sum(((g - g.mean()) ** 2).sum() for g in groups)
     between = sum(len(g) * (g.mean() - 1) ** 2 for g in groups)
@@ -411,14 +410,14 @@ def _lack_of_fit(r: Array, ratio: Array, parameters: int, whisker: Whisker) -> f
 
 def averaged(
     calibration: Calibration,
-    locate: Callable[[Whisker, Cue, Weber], pd.DataFrame],
+    locate: Callable[..., pd.DataFrame],
     progress: Callable[[int, int], None] | None,
 ) -> pd.DataFrame:
-    """What `locate` makes of a table under each of the calibration's samples, as one table."""
+    """A table located with each of the calibration's samples, and the average of these tables."""
     best = (calibration.whisker, calibration.cue, calibration.noise)
     every, passes = [], (*calibration.samples, best)
-    for sample in passes:
-        every.append(locate(*sample))
+    for whisker, cue, noise in passes:
+        every.append(locate(whisker, cue=cue, noise=noise))
         if progress:
             progress(len(every) * len(every[0]) // len(passes), len(every[0]))
     *every, out = every
@@ -426,7 +425,7 @@ def averaged(
     for of in ("", "touch_") if "touch_status" in out else ("",):
         found, ends = [f"{of}radial_distance_mm", f"{of}sd_mm"], [f"{of}lower_mm", f"{of}upper_mm"]
         mean, sd = (np.array([e[name] for e in every]) for name in found)
-        # A draw that has a row beyond the whisker says nothing of it.
+        # A draw with which a row has no posterior is left out for that row.
         known = np.isfinite(mean).sum(axis=0) > len(every) / 2
         middle = np.nanmean(mean[:, known], axis=0)
         total = np.sqrt(np.nanmean(sd[:, known] ** 2, axis=0) + np.nanvar(mean[:, known], axis=0))
@@ -437,8 +436,8 @@ def averaged(
         out.loc[known, ends] = np.clip(middle + off, 0.0, reach).T
         out.loc[known, found] = np.stack([middle, total], axis=1)
     share = f"{100 * calibration.misfit:.2g} % of the slopes"
-    said = f"Means over {len(every)} draws of the calibration, whose misfit is {share}."
-    out.attrs = out.attrs | {"notes": (*out.attrs["notes"], said)}
+    note = f"Means over {len(every)} draws of the calibration, whose misfit is {share}."
+    out.attrs = out.attrs | {"notes": (*out.attrs["notes"], note)}
     if not calibration.fits:
         tested = "does not fit" if calibration.p_value < 0.01 else "was not tested"
         located = out["radial_distance_mm"].notna()

@@ -1,4 +1,4 @@
-"""Columns of a table of contacts: their units and signs, and of which cue they are readings."""
+"""Columns of a table of contacts: their units and signs, and the cue that they belong to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Flags
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
 from ..cues.protocol import MeasuredAngle
@@ -23,13 +23,13 @@ from ..whisker import YOUNGS_MODULUS, Whisker
 from .files import as_number, load_table, refuse_tracked
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
-#: Units as people write them, and signs for them.
+#: Spellings of units (patterns), and the symbols that replace them.
 _WRITTEN = {
     "[µμ]": "u", "°": "deg", "met(re|er)s?": "m", "newtons?": "N", "deg(ree)?s?": "deg",
     "rad(ian)?s?": "rad", "sec(ond)?s?": "s", "nano": "n", "micro": "u", "milli": "m", "kilo": "k",
     r"[\s_·⋅*.-]*s(\^?-1|⁻¹)": "/s", "_?per_?": "/", r"[\s_·⋅×*.-]": "", "Nm/rad": "Nm",
 }  # fmt: skip
-#: Units of each kind of quantity, without prefix, as they are written without blanks.
+#: Units of each kind of quantity, without prefixes and blanks.
 _UNITS = {
     "moment": {"nm": 1.0, "nmm": 1e-3},
     "force": {"n": 1.0},
@@ -38,35 +38,33 @@ _UNITS = {
     "angular_velocity": {"rad/s": 1.0, "deg/s": np.pi / 180},
     "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
 }
-#: What a table may hold, and of which kind each is.
+#: Examples of units, for messages; those of other kinds are in `_UNITS`.
+_EXAMPLES = {"moment": "N m, uN m, mN mm", "force": "N, mN, uN", "moment_rate": "N m/s, uN m/s"}
+#: Quantities that a table may hold, and the kind of each.
 QUANTITIES = {
-    "moment": "moment",
-    "axial_force": "force",
-    "transverse_force": "force",
-    "deflection_angle": "angle",
-    "moment_rate": "moment_rate",
-    "angular_velocity": "angular_velocity",
-    "radial_distance": "length",
+    "moment": "moment", "axial_force": "force", "transverse_force": "force",
+    "deflection_angle": "angle", "moment_rate": "moment_rate",
+    "angular_velocity": "angular_velocity", "radial_distance": "length",
     **{f"force_{axis}": "force" for axis in "xyz"},
     **{f"moment_{axis}": "moment" for axis in "xyz"},
-}
-#: Signals whose signs go together; the first that a table has says the side of the push.
+}  # fmt: skip
+#: Signals whose signs depend on one another; the first in a table gives the side of the push.
 SIGNED = ("moment", "deflection_angle", "transverse_force", "axial_force")
 IN_PLANE = "Six signals were turned into the plane of each push."
-#: Sds of measurement errors, such as `moment_sd`, have the unit of their quantity.
+#: Quantities, and sds of measurement errors, such as `moment_sd`, which have the same units.
 NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items()}}
-#: What tables made of shapes say in the column `signals_from`.
+#: Columns of `tracked_signals`: the value of `signals_from`,
 FROM_SHAPE = "shape"
-#: Their column of the correlation of the errors of moment and transverse force.
+#: the correlation of the errors of moment and transverse force,
 CORRELATION = "moment_transverse_corr"
-#: Of the part of the distance's sd that all frames have in common, by the shape at rest.
+#: the part of the distance's sd that all frames share, from the error of the shape at rest,
 COMMON = "distance_common_sd_mm"
-#: And of the curvature at rest, at the base and its rate along the whisker.
+#: and the curvature at rest: at the base, and its rate along the whisker.
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
 
 
 def unit_factor(text: str, kind: str) -> float | None:
-    """SI units in a unit as people write it; None where it is none of that kind."""
+    """The size in SI units of a unit as written; None for no unit of that kind."""
     plain = text
     for written, sign in _WRITTEN.items():
         plain = re.sub(written, sign, plain, flags=re.IGNORECASE)
@@ -82,10 +80,10 @@ def unit_factor(text: str, kind: str) -> float | None:
 def find_columns(
     header: list[str], columns: Mapping[str, str] | None, units: Mapping[str, str] | None
 ) -> dict[str, tuple[str, float, bool]]:
-    """For each quantity present: its column, SI units in the column's unit, and if that was said.
+    """For each quantity: its column, the column's unit in SI units, and whether one was given.
 
-    A quantity stands in the column that `columns` names for it, or in one of its own name with a
-    unit as suffix or none.
+    A quantity is in the column that `columns` maps to it, or in the column of its own name, with or
+    without a unit as suffix.
     """
     for argument, name in ((columns, "columns"), (units, "units")):
         if argument is not None and not isinstance(argument, Mapping):
@@ -109,7 +107,7 @@ def find_columns(
     for column in header:
         if column in taken:
             continue
-        # The longest name first, so that `moment_rate` is no moment in a unit "rate".
+        # Longest names first, so that `moment_rate` is not read as a moment in the unit "rate".
         for quantity in sorted(NAMES, key=len, reverse=True):
             unit = r"[_ (\[]+(.+?)[)\]]?"
             rest = re.fullmatch(rf"{quantity}(?:{unit})?", column)
@@ -139,25 +137,17 @@ def find_columns(
     return found
 
 
-def _of(
-    quantity: str, column: str, text: str, units: Mapping[str, str] | None
-) -> tuple[str, float, bool]:
+def _of(quantity: str, column: str, text: str, units: Any) -> tuple[str, float, bool]:
     kind = NAMES[quantity]
     given = (units or {}).get(quantity)
     if given is not None:
         factor = unit_factor(str(given), kind)
         if factor is None:
-            known = ", ".join(
-                {
-                    "moment": ("N m", "uN m", "mN mm"),
-                    "force": ("N", "mN", "uN"),
-                    "moment_rate": ("N m/s", "uN m/s"),
-                }.get(kind, tuple(_UNITS[kind]))
-            )
+            known = _EXAMPLES.get(kind, ", ".join(_UNITS[kind]))
             raise ValueError(f"{given!r} is no unit of {quantity}; write one such as {known}.")
         return column, factor, True
-    # What stands behind our name, or the longest suffix of another's; there a letter alone before
-    # a unit is no prefix: m_Nm is a moment m in N m.
+    # The text after our name, or the longest suffix of another name that is a unit. A single
+    # letter before a unit is then not a prefix: m_Nm is a moment m in N m.
     words = re.split(r"[_ (\[\])]+", text.strip(" )]"))
     last = len(words) - 1
     suffixes = [
@@ -171,13 +161,12 @@ def _of(
 
 
 def likely_prefix(times: float, factor: float) -> str:
-    """The prefix of a unit with which numbers, now `times` too large, would be as large as usual.
+    """The prefix of a unit that best explains numbers `times` too large.
 
-    `factor` is the SI units in the unit in which they were read.
+    `factor` is the size in SI units of the unit in which they were read.
     """
-    return min(
-        (p for p in PREFIX if p != "k"), key=lambda p: abs(np.log(times * PREFIX[p] / factor))
-    )
+    smaller = (prefix for prefix in PREFIX if prefix != "k")
+    return min(smaller, key=lambda p: abs(np.log(times * PREFIX[p] / factor)))
 
 
 def values_of(table: pd.DataFrame, column: str) -> Array:
@@ -198,10 +187,10 @@ def values_of(table: pd.DataFrame, column: str) -> Array:
 
 
 def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
-    """The signals in the plane of the push from the six of space, where a table has those.
+    """Signals in the plane of the push, from the six signals in space where a table has them.
 
-    x is along the base tangent outwards, so that compression is −force_x; a straight whisker bends
-    in the plane of the transverse force, whatever its azimuth.
+    x is the outward base tangent, so that compression is −force_x. A straight whisker bends in the
+    plane of the transverse force, at any azimuth.
     """
     six = [f"{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz"]
     if {"moment_y", "moment_z"} <= set(si):
@@ -212,7 +201,7 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
         return si
     out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
     y, z = np.cos(azimuth), np.sin(azimuth)
-    # Moment = contact × force: the force across the base, along the push.
+    # Moment = contact × force: components of the transverse force along the push.
     parts: dict[str, list[tuple[str, Any]]] = {
         "moment": [("moment_y", y), ("moment_z", z)], "axial_force": [("force_x", -1.0)],
         "transverse_force": [("force_y", z), ("force_z", -y)],
@@ -228,7 +217,7 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
 
 
 def one_side(si: dict[str, Array], touch: Any, notes: list[str]) -> Array:
-    """Turn every row to positive moments in place; the side of each row, 1 or −1.
+    """Mirror rows in place to positive moments; returns the side of each row, 1 or −1.
 
     Moment, transverse force and angle change sign with the side.
     """
@@ -251,9 +240,8 @@ def one_side(si: dict[str, Array], touch: Any, notes: list[str]) -> Array:
 def sides_of(lead: Array, sd: Array | None, touch: Any, within: float = 4.0) -> Array:
     """The side to which each row is pushed, 1 or −1: the sign of its moment.
 
-    A touch has one side. Rows of it whose sign may be that of their measurement error, `within` so
-    many sds of zero (one in 30 000 are farther), are on the side that all its rows together are
-    likelier to be on, by Σ ±z²/2.
+    A touch has one side. Where the sign of a row is uncertain (`within` that many sds of zero; 4
+    is exceeded by one error in 30 000), the likelier side of its whole touch, by Σ ±z²/2, is used.
     """
     side = np.where(lead < 0, -1.0, 1.0)
     if sd is None or touch is None:
@@ -268,7 +256,7 @@ def sides_of(lead: Array, sd: Array | None, touch: Any, within: float = 4.0) -> 
 def read_contacts(
     table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
 ) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
-    """The table, its known quantities in SI, and where each of them was found."""
+    """The table, its quantities in SI units, and the column of each (see `find_columns`)."""
     raw = _table(table).rename(columns=str)
     if not raw.columns.is_unique:
         twice = raw.columns[raw.columns.duplicated()][0]
@@ -304,16 +292,14 @@ def _table(table: Any) -> pd.DataFrame:
 # -- which readings they are ----------------------------------------------------------------------
 
 
-def sign_note(
-    si: dict[str, Array], shapes: Sequence[Sequence[tuple[Index, Any]]], notes: list[str]
-) -> None:
-    """Say in which convention of signs rows are clearly likelier to be contacts of the whisker.
+def sign_note(si: dict[str, Array], shapes: Sequence[Any], notes: list[str]) -> None:
+    """Note the sign convention in which the rows fit the whisker clearly better.
 
-    For each of the shapes at rest that it may have: its rows of either side, and the whisker as it
-    looks from there. Where it is curved, axial forces and angles may be of either sign.
+    `shapes` holds, for each possible shape at rest, the rows of either side and the whisker as
+    seen from that side. Axial forces and angles of a curved whisker may have either sign.
     """
     names = [n for n in SIGNED if n in si]
-    free = names[1:]  # the first says the side
+    free = names[1:]  # the first gives the side
     signs = np.array(list(product([1.0, -1.0], repeat=len(free))))
     cost = np.full((len(signs), len(si[names[0]])), np.inf)
     cost[:, ~_countable(si, names)] = 0.0
@@ -420,7 +406,7 @@ def signals_of(
 
 
 def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> None:
-    """Refuse columns whose middle value is far from what the whisker gives."""
+    """Refuse columns whose median is far from the usual signal of the whisker."""
     for name, usual, column in zip(
         observer.cue.signal_names, observer.usual_reading, np.abs(y).T, strict=True
     ):
@@ -431,7 +417,7 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
         if 1e-5 < times < 30:
             continue
         unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
-        # In space, the component that the plane's was made of.
+        # The column in space from which the signal in the plane was computed.
         part = {"moment": "moment_y", "axial_force": "force_x"}.get(name, "force_y")
         name = part if part in found else name
         header, factor, _ = found.get(name, (name, 1.0, False))

@@ -1,4 +1,4 @@
-"""Files as they stand: of whisker trackers, each kind, and tables of trials and contacts."""
+"""Readers of whisker trackers' files, and of tables of trials and contacts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import pandas as pd
 from .._util import checks
 from .._util.values import Array, counted
 
-#: Ends of files that trackers alone write.
+#: Suffixes of files that only trackers write.
 TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".slp")
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
 
 def measurements(path: Path) -> pd.DataFrame:
-    """Whisk's measurements: rows stand in reverse order."""
+    """Whisk's measurements, which the file stores in reverse order."""
     data = path.read_bytes()
-    # Bytes before the numbers of a row, by version of the file.
+    # Bytes before the numbers in each row, by version of the file.
     heads = {b"measV1": (40,), b"measv2": (44, 48), b"measv3": (41,)}.get(data[:6])
     if heads is None or data[6:8] != b"\0\0" or len(data) < 16:
         raise ValueError(
@@ -52,7 +52,7 @@ def measurements(path: Path) -> pd.DataFrame:
 
 
 def whiskers(path: Path) -> pd.DataFrame:
-    """Whisk's segments, with their points in the stored order, which is arbitrary."""
+    """Whisk's segments; the points of each may start at either end."""
     data = path.read_bytes()
     if not data.startswith(b"bwhiskbin1\0\0"):
         kind = next((k.decode() for k in _REFUSED if data.startswith(k)), repr(data[:10]))
@@ -84,7 +84,7 @@ def whiskers(path: Path) -> pd.DataFrame:
 
 
 def segment(*axes: Array) -> dict[str, Any]:
-    """What a row tells of points from follicle to tip: x, y and perhaps z."""
+    """Columns of a segment whose points run from follicle to tip: x, y and perhaps z."""
     x, y = axes[:2]
     return {
         **dict(zip("xyz", axes, strict=False)), "follicle_x": x[0], "follicle_y": y[0],
@@ -94,22 +94,21 @@ def segment(*axes: Array) -> dict[str, Any]:
 
 
 def angle_and_curvature(x: Any, y: Any) -> tuple[float, float]:
-    """Direction of points (n,) at the first, degrees from +x to +y, and mean curvature, 1/px.
+    """Direction at the first of n points (degrees from +x to +y) and mean curvature (1/px).
 
-    Of the parabola in the length along them that is nearest; NaN for fewer than three.
+    From a least-squares parabola in arc length; NaN for fewer than three points.
     """
     z = np.asarray(x) + 1j * np.asarray(y)
     if len(z) < 3:
         return np.nan, np.nan
     arc = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
-    bend, start, _ = np.polyfit(arc, z, 2, full=True)[0]  # which does not warn of points in one
-    return float(np.degrees(np.angle(start))), float(
-        np.angle(1 + 2 * bend * arc[-1] / start) / arc[-1]
-    )
+    bend, start, _ = np.polyfit(arc, z, 2, full=True)[0]  # full: no warning if points coincide
+    turn = np.angle(1 + 2 * bend * arc[-1] / start)
+    return float(np.degrees(np.angle(start))), float(turn / arc[-1])
 
 
 def _runs_to_and_fro(axes: Array) -> bool:
-    """Whether points (D, n), by eighths of them, go twice as far as they reach."""
+    """Whether the path through means of eighths of points (D, n) is twice their extent."""
     parts = np.array_split(axes, min(8, axes.shape[1]), axis=1)
     means = np.array([part.mean(axis=1) for part in parts])
     way = np.linalg.norm(np.diff(means, axis=0), axis=1).sum()
@@ -117,7 +116,7 @@ def _runs_to_and_fro(axes: Array) -> bool:
 
 
 def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
-    """WhiskiWrap's `summary`, a table of ndx-whisk anywhere in an NWB file, or poses."""
+    """WhiskiWrap's `summary`, the first table of ndx-whisk in an NWB file, or poses."""
     import h5py
 
     found: dict[str, dict[str, Any]] = {}
@@ -165,7 +164,7 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
 
 
 def points(path: Path) -> pd.DataFrame:
-    """A row a point: of DeepLabCut's table, whose first rows say coords, or a table of points."""
+    """One row per point: poses of a DeepLabCut CSV (header row `coords`), or a table of points."""
     raw, _ = load_table(path, "point")
     if raw.shape[1] > 3 and "coords" in raw.iloc[:3, 0].astype(str).tolist():
         return poses(path, "dlc")
@@ -178,7 +177,7 @@ def points(path: Path) -> pd.DataFrame:
 
 
 def poses(path: Path, software: str) -> pd.DataFrame:
-    """Poses by movement: an individual is a whisker, its keypoints from follicle to tip."""
+    """Poses read by movement: individuals are whiskers, keypoints run from follicle to tip."""
     try:
         from movement.io import load_poses
     except ImportError as error:
@@ -209,7 +208,7 @@ def poses(path: Path, software: str) -> pd.DataFrame:
 
 
 def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
-    """A row a whisker, of a row a point."""
+    """One row per whisker and frame, from one row per point."""
     axes = ["x", "y", *(["z"] if "z" in points else [])]
     keys = ["frame", *(["whisker"] if "whisker" in points else [])]
     sure = ["likelihood"] if "likelihood" in points else []
@@ -229,7 +228,7 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
         if doubtful.any():
             count = f"{doubtful.sum()} of {len(points)} points"
             notes.append(f"{count} less likely than {likelihood:g}: left out.")
-        # Distances are from the first keypoint: the next must not stand for it.
+        # Distances are measured from the first keypoint: another must not replace it.
         seen = pd.Series(known).groupby([points[name].to_numpy() for name in keys])
         lost = known & ~seen.transform("first").eq(True).to_numpy()
         if lost.any():
@@ -265,7 +264,7 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
 
 
 def refuse_tracked(source: Any) -> None:
-    """Refuse a tracker's file, or a table of whiskers: signals are still to be made of points."""
+    """Refuse a tracker's file or table of points, from which signals must be computed first."""
     first = (
         "forces follow from the shape: write ww.tracked_signals(ww.read_tracking(file, "
         "pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
@@ -286,12 +285,12 @@ def refuse_tracked(source: Any) -> None:
 def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
     """The table as it stands, and its name for messages; its index counts rows from 1.
 
-    By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
-    `trials`), Bpod's session (.mat: the numbers of each trial in its `SessionData`), and everything
-    else as text, plain or compressed, separated by commas, tabs or semicolons, whichever its header
-    has most of; text gives text in every cell, decimal commas as points. Rows without any entry are
-    left out and counted, so the index is that of the file: the first row below the header is 1.
-    `row` is what one row is, for messages.
+    The suffix decides: Parquet (.parquet), Excel (.xlsx, .xls: first sheet), NWB (.nwb: `trials`),
+    a Bpod session (.mat: the numbers per trial in `SessionData`); anything else is text, plain or
+    compressed, with the separator (comma, tab or semicolon) that is most frequent in its header.
+    Cells of text files stay text, with decimal commas replaced by points. Empty rows are dropped
+    but counted: the index is the row of the file, and the first row below the header is 1. `row`
+    names what one row is, for messages.
     """
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"
@@ -316,7 +315,7 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
         raise ValueError(
             f"{path.name}: the file is empty; give a header and one row per {row}."
         ) from None
-    # The readers of all these formats raise whatever their libraries do at a broken file.
+    # Libraries of these formats raise any kind of exception for a broken file.
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
         if not reason.isprintable() or not 0 < len(reason) <= 200:  # some quote the file's bytes
@@ -332,7 +331,7 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
 
 
 def as_number(text: object) -> str:
-    """What to write instead of a cell that is no number, where a comma stands for the point too.
+    """Advice for a cell that is not a number, or has a decimal comma.
 
     Examples
     --------
@@ -373,10 +372,10 @@ def _read(path: Path) -> pd.DataFrame:
 
 
 def _with_points(cells: pd.Series, always: bool) -> pd.Series:
-    """With points for decimal commas, in a column that has no decimal points.
+    """The column with decimal commas replaced by points, unless it has decimal points.
 
-    Between semicolons commas are decimal. Elsewhere a column all of whose commas stand before three
-    digits may have thousands, and stays as it is.
+    In a file separated by semicolons (`always`) every comma is decimal. Otherwise a column in
+    which three digits follow every comma may hold thousands, and is left as it is.
     """
     text = cells.dropna().astype(str).str.strip()
     if not text.str.contains(",", regex=False).any():
@@ -390,7 +389,7 @@ def _with_points(cells: pd.Series, always: bool) -> pd.Series:
 
 def _layout(path: Path) -> tuple[str, int]:
     """The separator of a text table, and the blank lines above its header."""
-    if path.suffix in (".bz2", ".xz", ".zip", ".zst"):  # pandas opens them, we do not look inside
+    if path.suffix in (".bz2", ".xz", ".zip", ".zst"):  # only pandas opens these
         return ("\t" if {".tsv", ".tab"} & set(path.suffixes) else ","), 0
     opened: Any = gzip.open if path.suffix == ".gz" else open
     with opened(path, "rt", encoding="utf-8-sig") as lines:
@@ -401,7 +400,7 @@ def _layout(path: Path) -> tuple[str, int]:
 
 
 def _nwb_trials(path: Path) -> pd.DataFrame:
-    """The `trials` of a Neurodata Without Borders file, columns that hold one value a trial."""
+    """The `trials` of a Neurodata Without Borders file: columns with one value per trial."""
     import warnings
 
     from pynwb import NWBHDF5IO
@@ -417,7 +416,7 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
 
 
 def _bpod_trials(path: Path) -> pd.DataFrame:
-    """The fields of Bpod's `SessionData` that hold a number a trial, of the trials that ran."""
+    """Fields of Bpod's `SessionData` with one number per trial, for the trials that ran."""
     from scipy.io import loadmat
 
     found = loadmat(path, simplify_cells=True)

@@ -1,4 +1,4 @@
-"""`locate`: one posterior of each row of a table, and one of each touch."""
+"""`locate`: one posterior for each row of a table, and one for each touch."""
 
 from __future__ import annotations
 
@@ -51,93 +51,85 @@ RESULTS = (
 TOUCH_RESULTS = (
     "touch_radial_distance_mm", "touch_sd_mm", "touch_lower_mm", "touch_upper_mm", "touch_status",
 )  # fmt: skip
-#: The sd from measurement errors alone, where receptors have noise as well.
+#: Column of the sd from measurement errors alone, where receptors have noise as well.
 MEASURED = "measurement_sd_mm"
-#: By how many sds redundant signals are off each other.
+#: Column of the largest deviation of a signal from the fitted contact, in sds.
 OFF_BY = "misfit_sd"
 
 
 def locate(
-    table: pd.DataFrame | str | Path,
-    whisker: Whisker | Profile | Calibration,
-    *,
-    cue: Cue | None = None,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    touch: str | Sequence[Any] | None = None,
-    noise: ReceptorNoise | ArrayLike | None = None,
-    prior: Mapping[str, Any] | None = None,
-    known_stiffness: bool | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> pd.DataFrame:
-    """The radial distance of each contact of a table, with its uncertainty.
+    table: pd.DataFrame | str | Path, whisker: Whisker | Profile | Calibration, *,
+    cue: Cue | None = None, columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None, touch: str | Sequence[Any] | None = None,
+    noise: ReceptorNoise | ArrayLike | None = None, prior: Mapping[str, Any] | None = None,
+    known_stiffness: bool | None = None, progress: Callable[[int, int], None] | None = None,
+) -> pd.DataFrame:  # fmt: skip
+    """Infer the radial distance of each contact of a table, with its uncertainty.
 
     Parameters
     ----------
     table : DataFrame or path
-        A row a contact, or a frame: `moment`, `axial_force`, `transverse_force`,
-        `deflection_angle`; `moment_rate` with `angular_velocity`; or the six signals `force_x` …
-        `moment_z`. Units stand behind the name (`moment_uNm`); without one, SI. A measurement error
-        stands in `moment_sd_uNm` and the like, without a unit in its signal's, one for every signal
-        used. Files as in `read_trials`.
+        One row per contact or video frame. Signals are `moment`, `axial_force`,
+        `transverse_force`, `deflection_angle`; or `moment_rate` with `angular_velocity`; or the
+        six signals `force_x` … `moment_z`. A unit follows the name (`moment_uNm`); without one,
+        SI. Measurement errors (`moment_sd_uNm`; without a unit, in that of the signal) are given
+        for every signal used or for none. File formats as in `read_trials`.
     whisker : Whisker, Profile or Calibration
-        Where its shape at rest was not given, curvature has a normal prior of mean 0, whose sd is
-        that of its follicle or the usual one; ``curvature=0`` says that it is straight. A
-        calibration by taps brings cue and noise along, and its uncertainty into the distances:
-        means over draws of its posterior, the sds of which are added to those of the rows and
-        touches, and the intervals widened as much. A table of `tracked_signals` brings its own
-        curvature at rest, and its moment and forces are of the same stiffness, which is then taken
-        as known.
+        If its shape at rest was not given, its curvature has a normal prior of mean 0 and the sd
+        of its follicle or of whiskers in general; ``curvature=0`` makes it straight. A calibration
+        by taps supplies cue and noise: distances are means over draws from its posterior, and
+        their sds and intervals include its uncertainty. A table of `tracked_signals` supplies the
+        curvature at rest; its moment and forces are proportional to one stiffness, which is then
+        taken as known.
     cue : Cue, optional
-        By default the one that the columns allow. Its stiffness is then as it says.
+        By default the one that the columns allow. A given cue decides whether stiffness is known.
     columns : mapping, optional
-        Our names to the table's, such as ``{"moment": "M"}``; with a minus, ``{"axial_force":
-        "-Fx"}``, the column is of the opposite sign.
+        From our names to the table's, such as ``{"moment": "M"}``. A minus, as in
+        ``{"axial_force": "-Fx"}``, reverses the sign of the column.
     units : mapping, optional
-        Units of our names, such as ``{"moment": "µN m"}``.
+        Units by our names, such as ``{"moment": "µN m"}``.
     touch : str or sequence, optional
-        A column, or a value a row, that numbers the touches throughout the table; rows where it
-        is empty or False are in none, nor are rows of 0 that stand between touches. Rows of a touch
-        share distance, stiffness and how far up to the fold angles go, which is unknown where a
-        row's may be any: a touch of two or three rows may be less certain than they are.
+        A column, or one value per row, that numbers touches uniquely in the table. Rows that are
+        empty or False, or 0 between touches, belong to none. Rows of a touch share distance and
+        stiffness, and one unknown largest angle (as a share of the fold), where single rows have a
+        flat prior of angle: a touch of two or three rows may be less certain than each row.
     noise : ReceptorNoise or Weber fraction, optional
-        A Weber fraction is that of `inference.default_noise`, one or one for each signal, and
-        independent from row to row. By default the measurement errors alone where the table has
-        them. Else it is learnt, a Weber fraction for each signal (belief: median 0.2, sd of ln
-        0.7), from signals that are more than the unknowns and from rows of one touch, whose noise
-        may be common to them; without either the belief stands. With errors and noise, they add,
-        and `measurement_sd_mm` is the sd without receptors.
+        Weber fractions, one or one per signal, are those of `inference.default_noise`, independent
+        from row to row. By default the table's measurement errors alone; without these a Weber
+        fraction per signal is learnt (prior: median 0.2, sd of ln 0.7) from redundant signals and
+        from the rows of each touch, whose noise may be shared. Given errors and noise add, and
+        `measurement_sd_mm` is the sd from the errors alone.
     prior : mapping, optional
-        As of `Observer`.
+        As for `Observer`.
     known_stiffness : bool, optional
-        By default, whether Young's modulus is another than the default. Else the stiffness is
-        unknown, with the published spread of moduli.
+        By default true if Young's modulus is not the default one. An unknown stiffness has the
+        published spread of moduli.
     progress : callable, optional
         Called with (rows done, rows in all).
 
     Returns
     -------
     DataFrame
-        The table, in its own index and columns, and `radial_distance_mm`, `sd_mm`, the 95 %
-        interval `lower_mm` to `upper_mm`, `angle_deg` and `angle_sd_deg` of the push (on a curved
-        whisker from the first touch), `status` and `message`; with `touch` also
-        `touch_radial_distance_mm` and so on, the same in all rows of a touch. Where there are more
-        signals than unknowns, `misfit_sd` is by how many sds the worst is off at the most probable
-        contact. Rows that tell of no contact stay, empty, and their status says why.
-        ``attrs["notes"]`` says what was taken for granted: cue, units, signs, noise, priors.
+        The table with its index and columns, and `radial_distance_mm`, `sd_mm`, the 95 % interval
+        `lower_mm` to `upper_mm`, `angle_deg` and `angle_sd_deg` of the deflection (on a curved
+        whisker from first contact), `status` and `message`; with `touch` also
+        `touch_radial_distance_mm` and so on, equal in all rows of a touch. With redundant signals
+        `misfit_sd` is the largest deviation of a signal at the most probable contact, in sds. Rows
+        without a posterior are kept, empty, with the reason as their status. ``attrs["notes"]``
+        lists the assumptions: cue, units, signs, noise, priors.
 
     Raises
     ------
     ValueError
-        For columns that are not there or are text, unknown units, values that are of another unit,
-        a table that has these results already, signals from which no distance follows.
+        For columns that are missing or text, unknown units, values apparently in another unit, a
+        table that already has the result columns, and signals that do not determine a distance.
 
     Notes
     -----
     Signs: moment, transverse force and angle (from the base tangent) change sign with the side of
-    the push; the axial force is positive in compression. Rows of either side are mirrored, as is a
-    curved whisker seen from the other side. Where rows are likelier to be the whisker's in the
-    opposite convention, `notes` says so and what to write.
+    the push; the axial force is positive in compression. Rows pushed to the negative side are
+    mirrored, and so is a curved whisker for them. If rows fit the whisker better in the opposite
+    convention, `notes` says so, and how to change it.
 
     Examples
     --------
@@ -165,14 +157,8 @@ def locate(
                 f"The {having} have an angular_velocity, the {lacking} have none, and their slopes "
                 "cannot be compared; give both or neither."
             )
-
-        def located_by(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
-            return locate(
-                raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior,
-                touch=touch,
-            )  # fmt: skip
-
-        return averaged(whisker, located_by, progress)
+        options: Any = {"columns": columns, "units": units, "prior": prior, "touch": touch}
+        return averaged(whisker, partial(locate, raw, **options), progress)
     checks.kind(
         "whisker", whisker, "a Whisker", "stiffness", "write ww.Whisker.from_identity('C2')"
     )
@@ -244,8 +230,9 @@ def locate(
         )
         columns_of |= dict(zip(TOUCH_RESULTS, each.T, strict=False)) | {"touch_status": words}
     notes += [_whisker_in_words(whisker, bow), f"Cue: {cue!r}."]
-    of_noise = learnt if learns else None
-    notes.append(_noise_in_words(plain, covariance is not None, receptors, of_noise))
+    notes.append(
+        _noise_in_words(plain, covariance is not None, receptors, learnt if learns else None)
+    )
     notes.append(_priors(plain))
     if bow is None and (note := plain.note):
         notes.append(f"{note}.")
@@ -256,24 +243,22 @@ def locate(
 
 
 def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
-    """The noise of an observer: as it is, or of a Weber fraction."""
+    """The noise of an observer: as given, or the default noise of a Weber fraction."""
     if noise is None or isinstance(noise, ReceptorNoise):
         return noise
     return default_noise(whisker, cue, noise)
 
 
 def without_receptors(whisker: Any, cue: Cue) -> ReceptorNoise:
-    """Next to no noise of receptors, a millionth of a signal, beside measurement errors."""
+    """Negligible receptor noise (1e-6 of a signal), for use with measurement errors."""
     size, none = len(cue.signal_names), 1e-6
     # A default floor is a hundredth of the usual signal, or one degree.
     floor = 100 * none * default_noise(whisker, cue, none).floors(size)
     return GeneralisedWeber(none, floor=floor)
 
 
-def _touches_of(
-    raw: pd.DataFrame, touch: str | Sequence[Any], notes: list[str]
-) -> NDArray[np.object_]:
-    """The touch of each row, None where it is in none."""
+def _touches_of(raw: pd.DataFrame, touch: Any, notes: list[str]) -> NDArray[np.object_]:
+    """The touch of each row; None for rows that belong to none."""
     if isinstance(touch, str):
         if touch not in raw.columns:
             raise ValueError(
@@ -290,7 +275,7 @@ def _touches_of(
             )
     words = [str(value).strip().lower() for value in values]
     zero = np.array([word in ("0", "0.0") for word in words])
-    # Rows of 0 in several places are free frames between touches that are numbered from 1.
+    # Rows of 0 in several places are frames without contact, between touches numbered from 1.
     between = zero.any() and not zero.all() and (np.diff(zero, prepend=False) & zero).sum() > 1
     out = np.empty(len(values), dtype=object)
     for i, (value, word) in enumerate(zip(values, words, strict=True)):
@@ -330,7 +315,7 @@ def _whisker_in_words(whisker: Any, bow: float | None) -> str:
 
 
 def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Learnt | None) -> str:
-    """The noise of the table's numbers, and how to give it where nobody did."""
+    """The noise of the table's signals; where it was not given, also how to give it."""
     names, size = plain.cue.signal_names, len(plain.cue.signal_names)
     if learnt is None:
         law = f"{plain.noise!r}" if receptors else ""
@@ -350,7 +335,7 @@ def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Le
 
 
 def _priors(observer: Observer) -> str:
-    """The priors of what is unknown of a contact, in a sentence."""
+    """The priors of a contact's unknowns, in a sentence."""
     low, high = (1e3 * end for end in observer.reach)
     flat = {"radial_distance": f"flat from {low:.3g} to {high:.3g} mm",
             "deflection_angle": "flat up to where the whisker is lost"}  # fmt: skip
@@ -362,7 +347,7 @@ def _priors(observer: Observer) -> str:
 
 
 def methods_paragraph(located: pd.DataFrame) -> str:
-    """What was done to the contacts of a table of `locate`, as a methods section says it."""
+    """How the contacts of a table from `locate` were located, as text for a methods section."""
     status = located["status"].value_counts()
     counts = ", ".join(f"{n} {str(name).replace('_', ' ')}" for name, n in status.items())
     many = counted(len(located), "row")
@@ -370,7 +355,7 @@ def methods_paragraph(located: pd.DataFrame) -> str:
     if "touch_status" in located:
         touches = located[TOUCH_RESULTS[0]].nunique()
         said.append(f"Rows of a touch share its distance; {counted(touches, 'touch')} located.")
-    # A note may end in what to write for another model.
+    # A note may end with what to write for another model: that is no method.
     advice = re.compile(r"(; [^;:]*,|:) write [^;]*$")
     notes = (advice.sub(".", note) for note in located.attrs["notes"])
     return methods_text([*said, *notes, "Posteriors are by quadrature."])
@@ -380,7 +365,7 @@ def _rows(
     cases: Cases, y: Array, covariance: Array | None, receptors: bool,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Index, Array]:  # fmt: skip
-    """Status of rows (n, S) one by one, and numbers (n, 7): of `RESULTS`, and `OFF_BY`."""
+    """Status of each row of y (n, S), and numbers (n, 7): those of `RESULTS`, and `OFF_BY`."""
     n, numbers = len(y), np.full((len(y), 7), np.nan)
     status: Index = np.full(n, int(Status.NOT_A_READING))
     finite = np.isfinite(y).all(axis=1)
@@ -421,10 +406,10 @@ def _of_touches(
     cases: Cases, alone: Array, status: Index, y: Array, covariance: Array | None, touches: Index,
     common: Array, learnt: Learnt,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
-    """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
+    """Numbers (n, 4) of each row's touch, in the order of `TOUCH_RESULTS`, and its status.
 
-    A touch of one row is that row, whose numbers are `alone`. Of several rows, an error that all
-    have in common, mm (n,), is not averaged away.
+    A touch with one usable row has that row's numbers from `alone`. The part of the error that all
+    rows share, `common` (n,) in mm, does not average out over the rows of a touch.
     """
     numbers = np.full((len(y), 4), np.nan)
     words = np.full(len(y), "no_touch", dtype=object)

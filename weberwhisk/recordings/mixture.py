@@ -1,8 +1,8 @@
-"""Rows and touches located under all that nobody gave: the noise learnt, mixtures over whiskers.
+"""Rows and touches located with unknown noise, shape at rest and stiffness.
 
-A whisker's shape at rest and its stiffness take five values each, a noise those that were learnt.
-For each of them the engine gives the evidence and the posterior; between values of the whisker both
-are interpolated, quantile by quantile.
+Noise is learnt from the table. The curvature at rest and the stiffness of the whisker are
+nuisance parameters with five values each: every combination gives an evidence and a posterior,
+whose quantiles are interpolated between the values, and the result is their mixture.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from ..mechanics import Profile, Spiral
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
 from ..whisker import Assumed, usual_turn
 
-#: Belief about the Weber fraction of a table's signals: median, and sd of its ln. Forces on real
-#: tracked whiskers needed 0.2 to 0.3, simulated receptors have 0.1.
+#: Prior of the Weber fraction of a table's signals: median, and sd of its ln. Forces on real
+#: tracked whiskers needed 0.2 to 0.3; simulated receptors have 0.1.
 USUAL, SPREAD = 0.2, 0.7
 BELIEF = f"{USUAL:g} with an sd of ln of {SPREAD:g}"
-#: Contacts along either axis on which noise is learnt, and rows from which it is.
+#: Grid points along each axis of contacts, and rows, used to learn the noise.
 LATTICE, ROWS = 64, 48
-#: Values of what is not known of a whisker, in sds of its prior.
+#: Values of a nuisance parameter of the whisker, in sds of its prior.
 SCORES = np.linspace(-2.5, 2.5, 5)
-#: Probabilities of the quantiles of each posterior that is mixed; of one alone the two ends.
+#: Probabilities of the quantiles of each posterior in a mixture, and those of a single posterior.
 QUANTILES, ENDS = ndtr(inference_layers.SCORES), np.array([0.025, 0.975])
-#: How far up to the fold the angles of a touch may go, as shares: with angles flat up to the fold,
-#: touches of small angles had errors of 1.4 sd.
+#: Largest angle of a touch as a share of the fold: with a flat prior of angles up to the fold,
+#: touches at small angles had errors of 1.4 sd.
 SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
 
 __all__ = [
@@ -53,9 +53,9 @@ __all__ = [
 
 
 class Learnt(NamedTuple):
-    """Factors (J, S) of a cue's default noise, each as likely, and what rows of a touch share.
+    """Equally likely factors (J, S) of a cue's default noise.
 
-    `independent` is the share of the variance that differs from row to row of a touch; `said`
+    `independent` is the share of the variance that is independent between rows of a touch; `said`
     names what the factors were learnt from, "" for the prior alone.
     """
 
@@ -64,15 +64,15 @@ class Learnt(NamedTuple):
     said: str = ""
 
     def exponent(self, rows: Array) -> Array:
-        """The power of the likelihood of touches of so many rows, where part of it is common.
+        """Power of the likelihood of touches with so many rows, whose noise is partly shared.
 
-        A mean of n rows has the variance (1 − u) + u/n of one row's, u being independent.
+        The mean of n rows has (1 − u) + u/n of one row's variance, where u is `independent`.
         """
         return np.asarray(1 / (rows * (1 - self.independent) + self.independent))
 
 
 def scaled(whisker: Any, cue: Cue, factor: Array) -> ReceptorNoise:
-    """The cue's default noise, that of each signal times a factor (S,)."""
+    """The cue's default noise, with that of each signal multiplied by a factor (S,)."""
     return _times(default_noise(whisker, cue), factor)
 
 
@@ -85,7 +85,7 @@ def _times(usual: Any, factor: Array) -> ReceptorNoise:
 
 
 class Lattice:
-    """Contacts all over the reach: their signals, whatever the noise, and the prior's mass."""
+    """A grid of contacts over the whole reach: their signals and prior masses."""
 
     def __init__(self, observer: Observer) -> None:
         self.observer, space = observer, observer.space
@@ -109,7 +109,7 @@ class Lattice:
         self.log_prior, self.prior = self.log_prior - total, self.prior - total
 
     def _summed(self, log: Array) -> Array:
-        """ln of sums over contacts of one distance, (B, LATTICE)."""
+        """ln of sums over the contacts at each distance, (B, LATTICE)."""
         top = log.max(axis=1, keepdims=True)
         first = np.flatnonzero(np.diff(self.layer, prepend=-1))
         out = np.full((len(log), LATTICE), -np.inf)
@@ -119,13 +119,13 @@ class Lattice:
         return out
 
     def layers(self, y: Array, factor: Array) -> Array:
-        """ln of the density of readings (B, S) and distance, (B, LATTICE)."""
+        """ln of the joint density of readings (B, S) and distance, (B, LATTICE)."""
         noise = _times(self.observer.noise, factor)
         return self._summed(noise.log_likelihood(y[:, None], self.signals) + self.log_prior)
 
 
 def curvature_at(log: Callable[[Array], Any], x: Array, step: float) -> Array:
-    """Second derivatives (D, D) of a function of points (..., D), by differences."""
+    """Hessian (D, D) of a function of a point (D,), by central differences."""
     e = step * np.eye(len(x))
     pairs = [np.array([[log(x + s * a + t * b) for b in e] for a in e])
              for s, t in ((1, 1), (1, -1), (-1, 1), (-1, -1))]  # fmt: skip
@@ -136,14 +136,14 @@ def curvature_at(log: Callable[[Array], Any], x: Array, step: float) -> Array:
 def learn(
     members: Sequence[Sequence[tuple[Index, Observer]]], log_prior: Array, y: Array, touch: Index,
 ) -> Learnt:  # fmt: skip
-    """What a table tells of its noise: by redundant signals, and by how rows of a touch agree.
+    """Learn a table's noise from redundant signals and from the agreement of rows of a touch.
 
-    `members` are, for each whisker that there may be, its rows of either side and their observer,
-    `log_prior` (N,) is of these; `y` (n, S), `touch` (n,), −1 in none.
+    `members` holds, for each of N possible whiskers, the rows of either side and their observer;
+    `log_prior` (N,) is that of the whiskers; `y` (n, S); `touch` (n,) is −1 for rows in none.
 
-    Rows of one touch have their noise in common as far as is known (a wrong direction of the force,
-    say): together they count as one. How they scatter about one distance is then the least that
-    the noise can be, whatever is common; that it is so much larger is as likely on a log scale.
+    Rows of one touch may share their noise (a wrong direction of the force, say), so together they
+    count as one row. Their scatter about one distance is a lower bound of the noise; above it the
+    prior is flat in the logarithm.
     """
     observer, size = members[0][0][1], y.shape[1]
     usual = observer.noise.weber_fractions(size)
@@ -161,7 +161,7 @@ def learn(
                 for member in members]  # fmt: skip
 
     def evidence(factor: Array) -> tuple[Array, Array]:
-        """ln of that of each row (B,), and of each touch of several over its rows'."""
+        """ln evidence of each row (B,), and of each touch relative to that of its rows."""
         each, both = [], []
         for member in lattices:
             layers = np.full((len(rows), LATTICE), -np.inf)
@@ -211,7 +211,7 @@ def learn(
 
 
 def _chosen(y: Array, touch: Index) -> Index:
-    """Rows from which noise is learnt: of touches all over the table, up to eight of each."""
+    """Rows from which noise is learnt: up to eight of each touch, from the whole table."""
     good = np.flatnonzero(np.isfinite(y).all(axis=1) & (y != 0).all(axis=1))
     unit = np.where(touch[good] >= 0, touch[good], -1 - good)
     groups = [good[unit == u] for u in dict.fromkeys(unit.tolist())]
@@ -222,7 +222,7 @@ def _chosen(y: Array, touch: Index) -> Index:
 
 
 def _star(middle: Array, covariance: Array, usual: Array) -> Array:
-    """Factors (2S, S) whose logarithms have this mean and covariance, within the domain of k."""
+    """Factors (2S, S) whose logarithms have this mean and covariance, capped at the domain of k."""
     root = np.sqrt(len(middle)) * np.linalg.cholesky(covariance).T
     most = domain.WEBER_FRACTIONS[1] / usual.max(initial=1e-300)
     return np.minimum(np.exp(np.concatenate([middle + root, middle - root])), most)
@@ -234,10 +234,10 @@ Case = list[tuple[Index, Observer]]
 
 
 class Cases(NamedTuple):
-    """The whiskers that there may be, and a case for each and each noise.
+    """A case for each of N possible whiskers and J possible noises.
 
-    `shape` counts the values of each unknown, ln of whose prior is (N,); cases are [N][J]: the
-    rows of either side and their observer.
+    `shape` is the number of values of each nuisance parameter, `log_prior` (N,) their ln prior.
+    ``cases[i][j]`` lists the rows of either side with their observer.
     """
 
     shape: tuple[int, ...]
@@ -258,13 +258,13 @@ class Mixed(NamedTuple):
 
 
 def usual_bow(whisker: Any) -> float | None:
-    """Curvature at rest (1/m) that is usual of a whisker whose own nobody gave, else none."""
+    """Sd of the prior of curvature at rest (1/m); None where the curvature was given."""
     plain = getattr(whisker, "whisker", whisker)
     if not isinstance(plain.curvature, Assumed) or is_curved(whisker) or plain.hinge_stiffness:
         return None
     length = float(plain.length)
     bow = plain.identity[2] if plain.identity is not None else usual_turn() / length
-    # At its farthest it turns by no more than the domain's 2 rad from base to tip.
+    # At the largest of `SCORES` it turns by no more than the domain's 2 rad from base to tip.
     return min(float(bow), 2.0 / SCORES[-1] / length)
 
 
@@ -272,24 +272,19 @@ def cases_of(
     whisker: Any, cue: Cue, bow: float | None, side: Array, noises: Sequence[Callable[..., Any]],
     prior: Any,
 ) -> Cases:  # fmt: skip
-    """The cases of a whisker whose curvature may be unknown (`bow` of its kind), and stiffness.
+    """The cases of a whisker with unknown curvature (prior sd `bow`, or None) and stiffness.
 
-    Where there is one noise and no `bow`, the stiffness is the cue's, as the engine sums over it.
+    With one noise and no `bow` the engine itself marginalises over the cue's stiffness.
     """
-    axes: list[list[Any]] = []
-    if bow is not None:
-        axes.append([_bent(whisker, float(score) * bow) for score in SCORES])
+    every = [whisker] if bow is None else [_bent(whisker, float(s) * bow) for s in SCORES]
+    scores = [np.zeros(1) if bow is None else SCORES]
     inner: Any = cue
-    if isinstance(cue, UnknownStiffness) and (axes or len(noises) > 1) and cue.is_scale:
+    mixed = bow is not None or len(noises) > 1
+    if isinstance(cue, UnknownStiffness) and mixed and cue.is_scale:
         inner = cue.cue
-        softer = np.exp(cue.spread * SCORES)
-        axes = [[_softer(w, s) for s in softer] for w in (axes[0] if axes else [whisker])]
-        shape: tuple[int, ...] = (len(axes), len(SCORES)) if bow is not None else (len(SCORES),)
-        every = [w for row in axes for w in row]
-    else:
-        every = axes[0] if axes else [whisker]
-        shape = (len(every),)
-    scores = np.stack(np.meshgrid(*[_scores(n) for n in shape], indexing="ij"))
+        every = [_softer(w, s) for w in every for s in np.exp(cue.spread * SCORES)]
+        scores = [SCORES] if bow is None else [SCORES, SCORES]
+    squares = np.square(np.meshgrid(*scores, indexing="ij")).sum(axis=0)
     cases = [
         [
             [(rows, Observer(own, inner, noise(own, inner), prior or {}))
@@ -298,11 +293,7 @@ def cases_of(
         ]
         for w in every
     ]  # fmt: skip
-    return Cases(shape, -0.5 * (scores**2).sum(axis=0).ravel(), cases)
-
-
-def _scores(count: int) -> Array:
-    return np.asarray(SCORES if count > 1 else [0.0], dtype=float)
+    return Cases(squares.shape, -0.5 * squares.ravel(), cases)
 
 
 def _bent(whisker: Any, curvature: float) -> Any:
@@ -318,7 +309,7 @@ def _softer(whisker: Any, factor: float) -> Any:
 
 
 def by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
-    """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
+    """Rows pushed to either side, each with the whisker, mirrored for the negative side."""
     if not is_curved(whisker):
         return [(np.arange(len(side)), whisker)]
     profile = Profile.of(whisker)
@@ -327,15 +318,15 @@ def by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
     return [(rows, own) for rows, own in seen if rows.size]
 
 
-#: What stands behind the quantiles of a row: mean and sd of distance (m) and angle, the error of
-#: the sums in sds, and by how many sds the worst signal is off at the most probable contact.
-MEAN, SD, ANGLE, ANGLE_SD, ERROR, OFF = range(6)
+#: After the quantiles of a row: mean and sd of distance (m), mean and sd of angle, the numerical
+#: error in sds, and the largest deviation of a signal at the most probable contact, in sds.
+ERROR, OFF = 4, 5
 
 
 def rows_of(
     cases: Cases, rows: Index, y: Array, covariance: Array | None, progress: Callable[[int], None]
 ) -> Mixed:
-    """Rows one by one, with the covariances (n, S, S) of their measurement errors."""
+    """Posteriors of single rows; `covariance` (n, S, S) is of their measurement errors."""
     p = ENDS if cases.single else QUANTILES
     out = []
     for begin in range(0, len(rows), 512):  # for progress and memory
@@ -379,10 +370,11 @@ def _row(observer: Observer, y: Array, errors: Array | None, p: Array) -> tuple[
 def touches_of(
     cases: Cases, y: Array, covariance: Array | None, owner: Index, count: int, exponent: Array
 ) -> Mixed:
-    """Distances that rows share, `owner` (n,) naming the touch of each, −1 for none.
+    """Posteriors of the distance that the rows of each touch share.
 
-    As a power `exponent` (count,) of what rows would say whose noise is independent. Below 1
-    angles are as the observer has them: a prior of how far they go weighs too much there.
+    `owner` (n,) is the touch of each row, −1 for none. The likelihood of rows with independent
+    noise is raised to the power `exponent` (count,). Below 1 the angles have the observer's prior:
+    the prior of a touch's largest angle would weigh too much.
     """
     p = ENDS if cases.single else QUANTILES
     log = np.full((len(cases.cases), len(cases.cases[0]), count), -np.inf)
@@ -403,7 +395,7 @@ def touches_of(
 
 
 def _mixed(cases: Cases, log: Array, table: Array, count: int) -> Mixed:
-    """The mixture of posteriors: ln of their evidence (N, J, n), and numbers (N, J, n, K).
+    """The mixture of posteriors with ln evidence `log` (N, J, n) and numbers (N, J, n, K).
 
     The first `count` numbers are quantiles, the next two mean and sd.
     """
@@ -436,9 +428,9 @@ def _mixed(cases: Cases, log: Array, table: Array, count: int) -> Mixed:
 
 
 def _finer(shape: tuple[int, ...], log: Array, table: Array) -> tuple[Array, Array]:
-    """Weights and numbers at parts between values, from those at values.
+    """Weights and numbers on a finer grid of nuisance parameters, by interpolation.
 
-    Where a reading is of no contact, numbers are those of the nearest value.
+    Values at which a reading is impossible take the numbers of the nearest possible value.
     """
     known = np.isfinite(log)
     place = np.stack(np.unravel_index(np.arange(len(log)), shape))

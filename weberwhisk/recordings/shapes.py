@@ -1,10 +1,10 @@
 """Bent whiskers fitted to tracked points: all frames at once, by least squares.
 
-A whisker that is held by one force at arc s_c is followed from there to the base, as in
-`mechanics.beam`; beyond s_c it keeps its shape at rest. So a frame has five numbers that its points
-tell of: direction and offset of the base, s_c, the force, and the angle of friction. Only what lies
-across the whisker counts, as trackers place their points along it as they like. The length is 1,
-EI₀ too.
+The beam equation of `mechanics.beam` is integrated from a single contact force at arc length s_c to
+the base; beyond s_c the whisker keeps its shape at rest. Each frame has five parameters: direction
+and offset of the base, s_c, the force, and the friction angle. Residuals are the distances of
+points across the whisker, because trackers place points along it arbitrarily. Units: the length of
+the whisker and EI₀ are 1.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ from ..mechanics import Profile
 
 Complex = NDArray[np.complex128]
 
-#: Numbers of a shape, in the order of their columns; m of the moment EI·Δκ = m₀ + m₁ s + m₂ s².
+#: Parameters of a shape, by column; curvature at rest k₀ + k₁ s + k₂ s², and m of the moment
+#: EI·Δκ = m₀ + m₁ s + m₂ s².
 NAMES = ("direction", "offset", "place", "force", "friction", "k0", "k1", "k2", "m0", "m1", "m2",
          "slide")  # fmt: skip
-#: What is fitted: a whisker at rest of any shape, a bent one, and the moment near the base.
+#: Parameters fitted: any shape at rest; bent, with a fixed contact or not; moment near the base.
 FREE, PLACED, BENT, NEAR_BASE = (0, 1, 5, 6, 7), (0, 1, 3), (0, 1, 2, 3, 11), (0, 1, 8, 9, 10)
-#: Steps from contact to base and to the tip: shapes are good to 1e-6 of the length.
+#: Steps from contact to base and from contact to tip: shapes are accurate to 1e-6 lengths.
 _STEPS, _BEYOND = 24, 12
 
 
 class Points(NamedTuple):
-    """Points of n frames, in groups along the whisker.
+    """Points of n frames, in K groups along the whisker.
 
-    First point (n,), centres of groups (n, K), variance of their points along the whisker, their
-    weights 1/sd, and the arcs (n, K) at which they lie.
+    First point (n,); of the groups (n, K) centre, variance of points along the whisker, weight
+    1/sd, and arc length.
     """
 
     base: Complex
@@ -47,12 +48,12 @@ class Points(NamedTuple):
     arc: Array
 
     def take(self, rows: Any) -> Points:
-        """Some of the frames."""
+        """A subset of the frames."""
         return Points(*(v[rows] for v in self))
 
 
 class FittedShape(NamedTuple):
-    """Knots along n whiskers in the frame of the base: arc of the contact, its force there."""
+    """Knots along n whiskers in base coordinates; arc length of the contact, and its force."""
 
     held: Array
     end: float
@@ -67,7 +68,7 @@ class FittedShape(NamedTuple):
         return self.at[:, _STEPS]
 
     def on(self, arc: Array) -> tuple[Complex, Complex, Array]:
-        """Points, tangents and curvatures (n, K) at arcs (n, K), by Hermite's cubics."""
+        """Points, tangents and curvatures at arc lengths (n, K), by cubic Hermite splines."""
         held = self.held[:, None]
         far = arc > held
         step = np.where(far, (self.end - held) / _BEYOND, held / _STEPS)
@@ -86,25 +87,25 @@ class FittedShape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The whisker whose shapes are fitted; its tracked `reach`, in lengths; `change` for slopes."""
+    """Fits shapes of a whisker tracked up to `reach` (lengths); derivatives step by `change`."""
 
     profile: Profile
     reach: float
     change: float = 1e-5
 
     def held(self, p: Array) -> Array:
-        """Arc of the contact, from 1 % of the length to the tip."""
+        """Arc length of the contact, from 1 % of the length to the tip."""
         return np.asarray(0.01 + 0.985 * expit(p[:, 2]))
 
     def place(self, held: Any) -> Array:
-        """The number that says it."""
+        """The parameter `place` for a contact at arc length `held`; the inverse of `held`."""
         share = np.clip((np.asarray(held, dtype=float) - 0.01) / 0.985, 0.005, 0.995)
         return np.asarray(np.log(share / (1 - share)))
 
     def started(self, p: Array, bends: Array, held: Any) -> Array:
-        """Numbers with a contact at arcs `held`, and the force that curvatures (n, 3) suggest.
+        """Start values with a contact at `held`, and a force estimated from curvatures (n, 3).
 
-        From the change of curvature at a third of the way, where two thirds of the moment are.
+        The force follows from Δκ at a third of `held`, where the moment is 2/3 of that at the base.
         """
         p, s = p.copy(), np.asarray(held) / 3
         change = ((bends - p[:, 5:8]) * s[:, None] ** np.arange(3)).sum(axis=1)
@@ -114,7 +115,7 @@ class Shapes:
         return p
 
     def curve(self, p: Array) -> FittedShape:
-        """Shapes of numbers (n, 12), in the frame of the base."""
+        """Shapes with parameters (n, 12), in base coordinates."""
         held, end = self.held(p), max(self.reach, 1.0)
         k0, k1, k2, m0, m1, m2 = p[:, 5:11].T
         length, stiff = float(self.profile.whisker.length), float(self.profile.stiffness(0.0))
@@ -161,14 +162,14 @@ class Shapes:
     # -- fitting -------------------------------------------------------------------------------
 
     def _residuals(self, p: Array, points: Points, extra: Extra) -> tuple[Array, Array]:
-        """Residuals (n, R) in sds, and how far along the whisker points are off (n, K)."""
+        """Residuals (n, R) in sds, and the offsets (n, K) of points along the whisker."""
         curve = self.curve(p)
         turn = np.exp(1j * p[:, 0])
         base = points.base + (p[:, 11] + 1j * p[:, 1]) * turn
         at, tangent, bend = curve.on(points.arc)
         off = np.conj(turn[:, None] * tangent) * (points.at - base[:, None] - turn[:, None] * at)
         across = points.weight * (off.imag - bend * points.spread / 2)
-        # Held weakly where the points say nothing.
+        # Weak priors, for what the points do not determine.
         friction = (p[:, [4]] - extra.friction) / extra.friction_sd
         residuals = [across, p[:, [2]] / 4, friction, p[:, [11]] / extra.base_sd]
         if extra.pole is not None:
@@ -181,7 +182,7 @@ class Shapes:
 
     def _slopes(self, p: Array, points: Points, extra: Extra, free: Any) -> tuple[Array, Array]:
         """Residuals (n, R), and their derivatives (n, R, P)."""
-        n, many = len(p), 1 + len(free)  # all at once: few frames cost what the calls cost
+        n, many = len(p), 1 + len(free)  # one call for all: for few frames calls are the cost
         every = np.tile(np.arange(n), many)
         aside = p[every]
         for k, i in enumerate(free):
@@ -193,10 +194,9 @@ class Shapes:
     def fit(
         self, p: Array, points: Points, extra: Extra, free: Any, rounds: int = 60
     ) -> tuple[Array, Array, Points]:
-        """Numbers (n, 12), sums of squares (n,), and the points with their arcs.
+        """Parameters (n, 12), sums of squares (n,), and the points with fitted arc lengths.
 
-        Levenberg's and Marquardt's steps, each frame with its own damping, until its sum of squares
-        falls no more.
+        Levenberg–Marquardt steps with a damping for each frame, until its sum of squares converges.
         """
         p, columns = p.copy(), list(free)
         damping = np.full(len(p), 1e-4)
@@ -236,11 +236,11 @@ class Shapes:
     def covariance(
         self, p: Array, points: Points, extra: Extra, free: Any, shared: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Covariances of the fitted numbers (n, P, P), of the signals (n, 5, 5), and its part of
-        the shape at rest.
+        """Covariances of the fitted parameters (n, P, P) and of the signals (n, 5, 5), and the part
+        of the latter (n, 5, 5) that comes from the shape at rest.
 
-        By the slopes of the residuals at the fit; `shared` (3, 3) is that of the shape at rest,
-        whose error all frames have in common.
+        From the Jacobian at the fit; `shared` (3, 3) is the covariance of the shape at rest, whose
+        error all frames share.
         """
         _, slopes = self._slopes(p, points, extra, free)
         square = np.swapaxes(slopes, 1, 2) @ slopes
@@ -264,7 +264,7 @@ class Shapes:
 
 
 class Extra(NamedTuple):
-    """What is known beside the points, lengths in whiskers: friction, first points, the pole."""
+    """Information besides the points (in lengths): friction, error of first points, the pole."""
 
     friction: float = 0.0
     friction_sd: float = 1e-9
@@ -278,11 +278,11 @@ class Extra(NamedTuple):
         return self if self.pole is None else self._replace(pole=self.pole[rows])
 
 
-# -- what a table of tracking says ----------------------------------------------------------
+# -- from tables of tracking ----------------------------------------------------------------
 
 
 def in_plane(table: pd.DataFrame, most: float) -> Array:
-    """Unit vectors (2, D) of the plane of the image, or of the one that points in space sweep."""
+    """Unit vectors (2, D) of the image plane, or of the plane swept by points in space."""
     if "z" not in table:
         return np.eye(2)
     every = np.concatenate(
@@ -301,10 +301,7 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
 
 
 def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) -> Points:
-    """Points of every frame, whiskers' lengths for pixels.
-
-    In groups along the whisker: enough for its shape, and no more work for finer tracking.
-    """
+    """Points of every frame in whisker lengths (`unit` pixels), averaged in at most `groups`."""
     rows = []
     for own in table[list("xyz"[: plane.shape[1]])].to_numpy():
         x, y = plane @ np.stack(list(own))
@@ -323,10 +320,10 @@ def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) 
 
 
 def free_frames(bends: Array, false_alarms: float) -> Flags:
-    """Frames whose curvature is that of most: within the χ² of a robust covariance.
+    """Frames without contact: curvature within a χ² limit of a robust mean and covariance.
 
-    Concentration: mean and covariance of the frames that the last round found free, with the
-    covariance of what is cut off at the χ² put back.
+    Concentration steps: mean and covariance of the frames that the last step found free, corrected
+    for the truncation at the χ² limit.
     """
     size = bends.shape[1]
     if len(bends) < 10:  # no shape at rest follows from so few
@@ -337,7 +334,7 @@ def free_frames(bends: Array, false_alarms: float) -> Flags:
     free = far <= np.median(far)
     for cut in (0.5, 0.5, 0.75, 0.95, 0.99, 0.99, 0.99, 0.99):
         edge = chi2.ppf(cut, size)
-        # Of a Gaussian cut off there: what is left of its variance.
+        # Variance of a Gaussian truncated there, relative to the whole one.
         left = chi2.cdf(edge, size + 2) / cut
         own = bends[free]
         middle, spread = own.mean(axis=0), np.cov(own.T) / left + 1e-18 * np.eye(size)
@@ -347,16 +344,16 @@ def free_frames(bends: Array, false_alarms: float) -> Flags:
 
 
 def median_shape(bends: Array) -> Array:
-    """The median of curvatures (n, 3), in coordinates in which they do not correlate.
+    """The median of curvatures (n, 3) in uncorrelated coordinates.
 
-    One by one their medians are off along directions in which they hardly vary at all.
+    Medians of single coefficients are inaccurate in directions with little variance.
     """
     root = np.linalg.cholesky(np.cov(bends.T))
     return np.asarray(root @ np.median(np.linalg.solve(root, bends.T), axis=1))
 
 
 def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Flags:
-    """Which rows are in contact, as a column or a list says."""
+    """Rows in contact, from a column or a list."""
     if isinstance(contact, str):
         checks.one_of("contact", contact, map(str, tracking.columns))
         values = tracking[contact]
@@ -372,7 +369,7 @@ def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Fl
 
 
 def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame, plane: Array) -> Any:
-    """Where the pole is in each row, complex pixels."""
+    """Position of the pole in each row, complex pixels."""
     place, axes = checks.finite("pole", pole, "give its place in pixels"), plane.shape[1]
     if place.shape not in ((axes,), (len(tracking), axes)):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""From tracked shapes to the signals at the base, with the errors that tracking gives them."""
+"""Signals at the base from tracked shapes, with the errors that follow from tracking."""
 
 from __future__ import annotations
 
@@ -33,80 +33,70 @@ from .shapes import (
 )
 from .trackers import identified_by
 
-#: What is read off a shape, in the order of `Shapes.signals`.
+#: Signals of a shape, in the order of `Shapes.signals`.
 _SIGNALS = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
 
 
 def tracked_signals(
-    tracking: pd.DataFrame,
-    whisker: Whisker | Profile,
-    *,
-    pixels_per_mm: float | None = None,
-    frame_rate: float | None = None,
-    identity: Any = None,
-    pole: ArrayLike | None = None,
-    pole_radius_px: float = 0.0,
-    pole_sd_px: float = 0.5,
-    contact: str | Sequence[Any] | None = None,
-    false_alarms: float = 1e-3,
-    friction_angle: float = 0.0,
-    friction_sd: float = 0.0,
-) -> pd.DataFrame:
+    tracking: pd.DataFrame, whisker: Whisker | Profile, *, pixels_per_mm: float | None = None,
+    frame_rate: float | None = None, identity: Any = None, pole: ArrayLike | None = None,
+    pole_radius_px: float = 0.0, pole_sd_px: float = 0.5,
+    contact: str | Sequence[Any] | None = None, false_alarms: float = 1e-3,
+    friction_angle: float = 0.0, friction_sd: float = 0.0,
+) -> pd.DataFrame:  # fmt: skip
     """Moment, forces and distance of each contact, from the tracked shape of one whisker.
 
     Parameters
     ----------
     tracking : DataFrame
-        As of `read_tracking`, a row a frame, with the points `x` and `y` from the follicle.
+        As from `read_tracking`: one row per frame, with points `x` and `y` from the follicle.
     whisker : Whisker or Profile
-        Its length, radii and modulus; the shape at rest is found from the frames without contact.
+        Gives length, radii and modulus; the shape at rest is fitted to the frames without contact.
     pixels_per_mm, frame_rate : float
-        Of the video; by default what `read_tracking` was told.
+        Of the video; by default those given to `read_tracking`.
     identity
-        Which whisker, as the table's `label`, or `whisker` where nothing is labelled.
+        The whisker, by the table's `label`, or by `whisker` where nothing is labelled.
     pole : (x, y) or array (rows, 2), optional
-        Where the whisker is touched, pixels: the middle of a pole of `pole_radius_px`, or with
-        radius 0 the contact itself; a row a row of `tracking` where it moves; x, y, z with points
-        in three dimensions. By default the contact is where the shape bends no further.
+        Centre of a pole of radius `pole_radius_px`, or with radius 0 the contact itself, in pixels
+        (x, y, z for points in space); one row per row of `tracking` if it moves. By default the
+        contact is the point beyond which the whisker has its shape at rest.
     pole_radius_px, pole_sd_px : float
-        Radius of the pole, and the error of its place.
+        Radius of the pole, and the sd of its position.
     contact : str or sequence, optional
-        A column, or a value a row, that is true in contact. By default, where the shape differs
-        from that of most frames.
+        A column, or one value per row, that is true in contact. By default, where the shape
+        differs from that of most frames.
     false_alarms : float
-        Share of the frames without contact that may be taken for contacts.
+        Accepted share of frames without contact that are classified as contacts.
     friction_angle, friction_sd : float
-        As of `press`, rad, and how uncertain it is.
+        Friction angle as for `press`, and its sd, rad.
 
     Returns
     -------
     DataFrame
-        A row a row of the whisker, with its index: `frame`, `time_s`, `contact`, and for contacts
-        `moment_uNm`, `axial_force_uN`, `transverse_force_uN` and `deflection_angle_deg` with
-        `moment_sd_uNm` and so on, the correlation `moment_transverse_corr`, and
-        `distance_common_sd_mm`, by the error of the shape at rest, the same in all frames;
+        One row per frame of the whisker, with its index: `frame`, `time_s`, `contact`, and for
+        contacts `moment_uNm`, `axial_force_uN`, `transverse_force_uN` and `deflection_angle_deg`,
+        their sds (`moment_sd_uNm` and so on), the correlation `moment_transverse_corr`, and
+        `distance_common_sd_mm`, the error that all frames share through the shape at rest;
         `shape_distance_mm` and `shape_distance_sd_mm`, from the shape alone; with a pole also
-        `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² over its degrees of freedom;
-        `side`, 1 where the push is towards +y of a whisker along +x (to the right in an image,
-        whose y runs down), −1 to the other side. Errors are those of tracking, also of where along
-        the whisker its first point is, from which distances count; receptors come in with
-        ``locate(…, noise=)``. The curvature at rest is
-        `rest_curvature_per_m` + `rest_curvature_rate_per_m2` s. ``attrs["notes"]`` says what was
-        found and checked.
+        `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² per degree of freedom; `side`, 1
+        for a push towards +y of a whisker along +x (to the right in an image, whose y runs down),
+        −1 for the other side. Sds include tracking errors across and along the whisker, but no
+        receptor noise: see ``locate(…, noise=)``. The curvature at rest is `rest_curvature_per_m`
+        + `rest_curvature_rate_per_m2` s. ``attrs["notes"]`` reports results and checks.
 
     Raises
     ------
     ValueError
-        For what is missing (scale, frame rate, identity, points), fewer than ten frames without
-        contact, and a scale at which the whisker is longer than `whisker`.
+        For a missing scale, frame rate, identity or points, fewer than ten frames without contact,
+        and a scale at which the tracked whisker is longer than `whisker`.
 
     Notes
     -----
-    M = EI·Δκ at the base (Clack et al. 2012; Pammer et al. 2013), here of the planar beam that fits
-    all points, held by one force; points in three dimensions are taken in the plane that they
-    sweep. As both force and moment are of the same stiffness, the modulus
-    does not matter to the distance, and `locate` takes it as known. Noise is that of the points
-    about their fits, and no less than what moves the curvature of free frames.
+    M = EI·Δκ at the base (Clack et al. 2012; Pammer et al. 2013), for the planar beam under one
+    force that best fits all points; points in space are projected on the plane that they sweep.
+    Force and moment are proportional to one stiffness, so the modulus does not affect the distance,
+    and `locate` takes it as known. The noise of points follows from their scatter about the fits,
+    or from the scatter of curvature between free frames where that implies more.
 
     Examples
     --------
@@ -142,7 +132,7 @@ def tracked_signals(
     shapes = Shapes(profile, reach)
     extra = Extra(float(friction_angle), max(float(friction_sd), 1e-9))
 
-    # At rest: every frame as a shape of its own, and what most frames have in common.
+    # Shape at rest: fit every frame by itself, then take the median of frames without contact.
     start = np.zeros((len(table), len(NAMES)))
     start[:, 0] = np.angle(points.at[:, 2] - points.base)
     start[:, 2] = shapes.place(0.5)
@@ -176,7 +166,7 @@ def tracked_signals(
     out["time_s"] = table["frame"] / rate
     out["contact"] = ~free
     out["signals_from"] = FROM_SHAPE
-    # The line that is nearest to it along the whisker.
+    # The straight line k₀ + k₁ s closest to the quadratic curvature.
     out[AT_REST[0]] = (rest[0] - rest[2] / 6) / length
     out[AT_REST[1]] = (rest[1] + rest[2]) / length**2
     out["friction_angle_deg"] = np.degrees(friction_angle)
@@ -255,11 +245,11 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
 
 
 def _slips(own: Array, points: Points) -> float:
-    """Sd of the error of first points along the whisker, lengths; 0 where none is clear.
+    """Sd of the error of first points along the whisker, lengths; 0 where not significant.
 
-    An error moves the first point outwards by as much as it shortens the whisker, where a follicle
-    that moves and a tip that is lost do one without the other: so it is minus the covariance of
-    the two (within 4 sd), where that is beyond three of its standard errors.
+    An error that moves the first point outwards shortens the whisker by as much. Movement of the
+    follicle, or loss of the tip, changes only one of the two. So the variance of the error is minus
+    their covariance (clipped at 4 sd), if that exceeds three standard errors.
     """
     base = points.base - np.median(points.base.real) - 1j * np.median(points.base.imag)
     place = np.real(base * np.exp(-1j * own[:, 0]))
@@ -272,7 +262,7 @@ def _slips(own: Array, points: Points) -> float:
 
 
 def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
-    """Sd of a point, lengths: from what is left of the fits, and from how curvature varies."""
+    """Sd of a point, lengths: from residuals or from the scatter of curvature, if larger."""
     left = (shapes._residuals(own, points, extra)[0][:, : points.at.shape[1]] ** 2).sum(axis=1)
     degrees = (points.weight > 0).sum(axis=1) - len(FREE)
     points_sd = float(np.sqrt(np.median(left / chi2.median(degrees))))
@@ -285,13 +275,11 @@ def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
 Fit = tuple[Array, Array, Points]
 
 
-def _bent(
-    shapes: Shapes, p: Array, bends: Array, points: Points, extra: Extra, misfit: float = 10.0
-) -> Fit:
-    """Fits from the best of several places of the contact."""
+def _bent(shapes: Shapes, p: Array, bends: Array, points: Points, extra: Extra) -> Fit:
+    """Fits started from the best of several places of the contact."""
     places = np.linspace(0.15, 0.95, 9) * shapes.reach
     out: list[Fit] = []
-    for part in np.array_split(np.arange(len(p)), 1 + len(p) // 256):  # what memory holds
+    for part in np.array_split(np.arange(len(p)), 1 + len(p) // 256):  # to limit memory
         every = np.tile(part, len(places))
         tried = shapes.started(p[every], bends[every], np.repeat(places, len(part)))
         tried, cost, moved = shapes.fit(tried, points.take(every), extra, PLACED, rounds=10)
@@ -299,8 +287,8 @@ def _bent(
         out.append(shapes.fit(tried[best], moved.take(best), extra, BENT))
     p, cost = (np.concatenate([fit[i] for fit in out]) for i in (0, 1))
     moved = Points(*(np.concatenate(v) for v in zip(*(fit[2] for fit in out), strict=True)))
-    # A fit may fail (1 in 1900, 3 mm off and sure of it): once more, from the next frame's.
-    failed = cost > misfit * (points.weight > 0).sum(axis=1)
+    # A fit may fail (1 in 1900: 3 mm off, with a small sd): repeat it from the nearest frame's.
+    failed = cost > 10 * (points.weight > 0).sum(axis=1)
     left, good = np.flatnonzero(failed), np.flatnonzero(~failed)
     if left.size and good.size:
         start = p[left]
@@ -328,7 +316,7 @@ def _columns(shapes: Shapes, fit: Fit, extra: Extra, shared: Array) -> dict[str,
 
 
 def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> list[str]:
-    """Contact × force beside EI·Δκ at the base, and the two distances, in a sentence each."""
+    """Notes that compare contact × force with EI·Δκ at the base, and the two distances."""
     p, _, points = fit
     held = shapes.held(p)
     near = points._replace(weight=np.where(points.arc < held[:, None], points.weight, 0.0))
@@ -348,9 +336,9 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
         slope = float((weight * bent * crossed).sum() / (weight * crossed**2).sum())
         se = float((weight * crossed**2).sum() ** -0.5)
         alike = float(np.corrcoef(bent, crossed)[0, 1])
-        # What noise leaves of a correlation of 1.
+        # A correlation of 1 attenuated by noise.
         least = 0.97 * float((1 + error[clear].mean() / np.var(crossed)) ** -0.5)
-        # Fisher: arctanh r has an sd of (n − 3)^−½.
+        # Fisher's transformation: arctanh r has an sd of (n − 3)^−½.
         least = float(np.tanh(np.arctanh(least) - 3 / np.sqrt(clear.sum() - 3)))
         good = abs(slope - 1) < 0.05 + 3 * se and alike > least
         verdict = "agree" if good else "DO NOT agree; check scale, whisker, pole and friction"
@@ -373,7 +361,7 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
 
 
 def _in_units(columns: dict[str, Any], whisker: Whisker) -> pd.DataFrame:
-    """The signals of shapes in the units of the table, each beside its sd."""
+    """The signals of shapes in the units of the table, each followed by its sd."""
     force = ("uN", 1e6 * whisker.force_scale)
     length = ("mm", 1e3 * whisker.length)
     units: dict[str, tuple[str, Any]] = {

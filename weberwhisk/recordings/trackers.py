@@ -1,4 +1,4 @@
-"""Tracked whiskers as one tidy table, a row a segment, from trackers' files."""
+"""Tracked whiskers from trackers' files, as one tidy table with one row per segment."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .._util import checks
 from .._util.values import Flags
 from .files import angle_and_curvature, hdf5, measurements, points, poses, segments, whiskers
 
-#: Columns of every table, in order; what a file does not tell is NaN, and label is −1.
+#: Columns of every table, in order; what a file does not contain is NaN, and label is −1.
 COLUMNS = (
     "frame", "whisker", "label", "follicle_x", "follicle_y", "tip_x", "tip_y", "length_px",
     "angle_deg", "curvature_per_px", "score",
 )  # fmt: skip
-#: Names of the same in WhiskiWrap's and ndx-whisk's tables.
+#: Names of these columns in WhiskiWrap's and ndx-whisk's tables.
 _ALIASES = {
     "frame": ("frame_id", "time", "fid"), "whisker": ("whisker_id", "id", "wid"),
     "follicle_x": ("fol_x",), "follicle_y": ("fol_y",), "length_px": ("length", "pixlen",
@@ -26,58 +26,52 @@ _ALIASES = {
 
 
 def read_tracking(
-    path: str | Path,
-    *,
-    shortest_px: float = 0.0,
-    likelihood: float = 0.6,
-    follicles: tuple[float, float, float, float] | None = None,
-    face: str | None = None,
-    pixels_per_mm: float | None = None,
-    frame_rate: float | None = None,
-) -> pd.DataFrame:
-    """Tracked whiskers of a video, from the file that a tracker wrote.
+    path: str | Path, *, shortest_px: float = 0.0, likelihood: float = 0.6,
+    follicles: tuple[float, float, float, float] | None = None, face: str | None = None,
+    pixels_per_mm: float | None = None, frame_rate: float | None = None,
+) -> pd.DataFrame:  # fmt: skip
+    """Read the tracked whiskers of a video from the file that a tracker wrote.
 
     Parameters
     ----------
     path : path
         Whisk's `.measurements` or `.whiskers`; WhiskiWrap's `.hdf5`; a `.nwb` with ndx-whisk's
         `WhiskerMeasurementTable`; poses of DeepLabCut (`.csv`, `.h5`), LightningPose (`.csv`) and
-        SLEAP (`.slp`, `.h5`), by movement (extra `tracking`), with keypoints from follicle to tip,
-        each individual a whisker; or any table of points with the columns frame, x, y and, where
-        there are, z, whisker and likelihood, a row a point from base to tip.
+        SLEAP (`.slp`, `.h5`), read by movement (extra `tracking`), where each individual is a
+        whisker with keypoints from follicle to tip; or a table with one row per point from base to
+        tip, with columns frame, x, y and optionally z, whisker and likelihood.
     shortest_px : float
         Shorter segments are left out: most of what trackers find is fur.
     likelihood : float
-        Keypoints of poses that are less likely than this are left out, and whiskers the first
-        keypoint of which is: distances are from there.
+        Less likely keypoints are left out, and so are whiskers whose first keypoint is less
+        likely, because distances are measured from it.
     follicles : (x, y, x, y), optional
-        Corners of the box in which follicles lie, pixels; segments that start elsewhere are left
+        Corners of the box that holds the follicles, pixels; segments that start elsewhere are left
         out.
     face : {"left", "right", "top", "bottom"}, optional
-        The side of the image where the face is: whiskers start at the end that is nearer to it.
-        By default as the file has it; `.whiskers` have either end first, and there it is the side
-        at which the ends of whiskers stay closest together.
+        The side of the image where the face is: the follicle is the end nearer to it. By default
+        as in the file; for `.whiskers`, which start at either end, the side where the ends of
+        whiskers move least.
     pixels_per_mm, frame_rate : float, optional
-        Scale of the image, and frames a second: no tracker writes them.
+        Scale of the image, and frames per second: no tracker writes them.
 
     Returns
     -------
     DataFrame
-        A row a segment: `frame`, `whisker`, `label` (the tracker's identity, −1 for none),
-        follicle and tip, `length_px`, `angle_deg` and `curvature_per_px` as the tracker has them or
-        else of the points (at the follicle, from +x to +y, and the mean), `score`; `x`, `y` (and
-        `z`), arrays of points from the follicle, where the file has them; `length_mm` with
-        `pixels_per_mm` and `time_s` with `frame_rate`. ``attrs["notes"]`` says what is still
-        needed.
+        One row per segment: `frame`, `whisker`, `label` (the tracker's identity, −1 for none),
+        follicle and tip, `length_px`, `score`, `angle_deg` and `curvature_per_px` (the tracker's,
+        or from the points: angle at the follicle from +x to +y, mean curvature); where the file
+        has points, `x`, `y` (and `z`), arrays from the follicle; `length_mm` with `pixels_per_mm`
+        and `time_s` with `frame_rate`. ``attrs["notes"]`` says what is still needed.
 
     Raises
     ------
     ValueError
-        For a file that is not what it says, cut short, or of another kind.
+        For a file that is damaged, cut short, or of another kind than its name or header says.
     FileNotFoundError
         Where there is no such file.
     ModuleNotFoundError
-        For poses that take movement, where that is not installed.
+        For poses, where movement is not installed.
 
     Examples
     --------
@@ -167,7 +161,7 @@ def read_tracking(
 
 
 def identified_by(table: pd.DataFrame) -> str:
-    """The column that tells whiskers apart: `label`, unless one label is given to several."""
+    """The column that identifies whiskers: `label`, unless several share one in a frame."""
     labelled = table[table["label"] >= 0]
     twice = labelled.duplicated(["frame", "label"]).any()
     return "whisker" if twice or not len(labelled) else "label"
@@ -178,7 +172,7 @@ _FACES = {"left": "right", "right": "left", "top": "bottom", "bottom": "top"}
 
 
 def _facing(table: pd.DataFrame, face: str) -> pd.DataFrame:
-    """Every whisker from the end that is nearer to the face."""
+    """The table with every whisker starting at the end nearer to the face."""
     axis, sign = "x" if face in ("left", "right") else "y", -1 if face in ("left", "top") else 1
     turn = np.asarray(sign * (table[f"tip_{axis}"] - table[f"follicle_{axis}"]) > 0)
     out = table.copy()
@@ -189,7 +183,7 @@ def _facing(table: pd.DataFrame, face: str) -> pd.DataFrame:
 
 
 def _from_follicle(table: pd.DataFrame) -> pd.DataFrame:
-    """With points from the end that was measured as the follicle: WhiskiWrap keeps either order."""
+    """The table with points that start at the measured follicle; WhiskiWrap has either order."""
     if "x" not in table:
         return table
     follicle = table[["follicle_x", "follicle_y"]].to_numpy(dtype=float).T
@@ -201,7 +195,7 @@ def _from_follicle(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _turned(table: pd.DataFrame, turn: Flags) -> pd.DataFrame:
-    """With the points of some rows from the other end."""
+    """The table with the points of rows `turn` reversed."""
     points = {
         name: [v[::-1] if t else v for v, t in zip(table[name], turn, strict=True)]
         for name in "xyz" if name in table
@@ -210,14 +204,14 @@ def _turned(table: pd.DataFrame, turn: Flags) -> pd.DataFrame:
 
 
 def _spread(table: pd.DataFrame) -> float:
-    """How far follicles lie about their middle, pixels; the long half of the whiskers alone."""
+    """Median distance of follicles from their median, px, for the longer half of whiskers."""
     long = table[table["length_px"] >= table["length_px"].median()]
     ends = long[["follicle_x", "follicle_y"]]
     return float((ends - ends.median()).abs().median().sum())
 
 
 def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
-    """The columns of every table, in order, from what a tracker wrote."""
+    """A tracker's table with `COLUMNS`, in order, and points where there are any."""
     for name, others in _ALIASES.items():
         for other in others:
             if name not in table and other in table:
@@ -235,8 +229,5 @@ def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
         table[name] = values.astype(np.int64)
     if "label" not in table:
         table["label"] = -1
-    for name in COLUMNS:
-        if name not in table:
-            table[name] = np.nan
-    points = "xyz" if {"x", "y"} <= set(table) else ""  # of a damaged file one may be left
-    return table[[*COLUMNS, *(name for name in points if name in table)]]
+    points = "xyz" if {"x", "y"} <= set(table) else ""  # a damaged file may have only one
+    return table.reindex(columns=[*COLUMNS, *(name for name in points if name in table)])
