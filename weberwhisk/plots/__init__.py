@@ -1,8 +1,8 @@
-"""Charts of results: each takes a result and, if wanted, axes to draw on, and returns the axes.
+"""Charts of results: each takes a result and, optionally, axes, and returns the axes.
 
 Nothing is computed here but the scaling of axes and the error bars of counts. Colours are those of
-Okabe and Ito, which the colour-blind can tell apart, and every colour comes with its own marker or
-line style, so that a figure also reads in grey.
+Okabe and Ito, which colour-blind readers can distinguish, and every colour comes with its own
+marker or line style, so that figures can be read in grey.
 """
 
 from .contacts import (

@@ -1,4 +1,4 @@
-"""Bent whiskers, contacts and places found from their signals, and JNDs."""
+"""Bent whiskers, inferred contacts and positions, and JNDs."""
 
 from __future__ import annotations
 
@@ -47,27 +47,29 @@ __all__ = [
 
 @styled
 def bending(
-    curves: Bending,
-    axes: Sequence[Axes] | None = None,
-    *,
-    points: Bending | None = None,
+    curves: Bending, axes: Sequence[Axes] | None = None, *, points: Bending | None = None,
     against: str = "deflection_angle",
-) -> NDArray[np.object_]:
-    """The three signals at the base of a bent whisker, a line for each contact distance.
+) -> NDArray[np.object_]:  # fmt: skip
+    """Plot the three signals at the base of a bent whisker, one line per contact distance.
 
     Parameters
     ----------
     curves : Bending
-        Arrays (lines, points along each); fewer dimensions are one line, or one point.
+        Arrays (lines, points along each line); with fewer dimensions, one line or one point.
     axes : three Axes, optional
     points : Bending, optional
-        Contacts to mark, arrays (lines, marks on each).
+        Contacts to mark, arrays (lines, marks on each line).
     against : {"deflection_angle", "force"}
-        Along the horizontal axis. Lines differ by radial distance or by arc length.
+        The horizontal axis. Lines then differ in radial distance or in arc length.
 
     Returns
     -------
     array of the three Axes
+
+    Raises
+    ------
+    ValueError
+        For another `against`, or a number of axes other than three.
 
     Examples
     --------
@@ -114,7 +116,7 @@ def bending(
 
 
 def _rows(curves: Bending, name: str) -> Array:
-    """A value of every contact, (lines, points)."""
+    """An attribute of every contact, (lines, points)."""
     values = np.asarray(getattr(curves, name), dtype=float)
     return values.reshape(-1, values.shape[-1] if values.ndim else 1)
 
@@ -129,16 +131,16 @@ _UNKNOWNS = {
 def posteriors(
     result: Posterior, ax: Axes | None = None, *, of: str = "radial_distance", draws: int = 4000
 ) -> Axes:
-    """Of one reading a histogram with its mean and 95 % interval; of many these, in order.
+    """Plot posteriors: a histogram for one reading, means and 95 % intervals for several.
 
     Parameters
     ----------
     result : Posterior
     ax : Axes, optional
     of : str
-        The unknown.
+        The unknown of the contact to plot.
     draws : int
-        Draws in the histogram, repeatable.
+        Draws in the histogram, from a fixed seed.
 
     Examples
     --------
@@ -181,27 +183,22 @@ def posteriors(
 
 @styled
 def jnd_lines(
-    tables: JNDCurve | pd.DataFrame | Mapping[str, JNDCurve | pd.DataFrame],
-    ax: Axes | None = None,
-    *,
-    length: float | None = None,
-    weber_fraction: float | None = None,
-) -> Axes:
-    """The JND of radial distance against distance: closed form as lines, posteriors as points.
-
-    The paper's figure 4a.
+    tables: JNDCurve | pd.DataFrame | Mapping[str, JNDCurve | pd.DataFrame], ax: Axes | None = None,
+    *, length: float | None = None, weber_fraction: float | None = None,
+) -> Axes:  # fmt: skip
+    """Plot the JND of radial distance: closed form as lines, posteriors as points (figure 4a).
 
     Parameters
     ----------
-    tables : JNDCurve or DataFrame, or mapping of label to such
-        From `jnd_curve`, or its ``table``. Of a table, rows whose ``posterior_mm`` is NaN extend
-        the line alone.
+    tables : JNDCurve or DataFrame, or mapping from labels to these
+        From `jnd_curve`, or its ``table``. Rows of a table whose ``posterior_mm`` is NaN only
+        extend the line.
     ax : Axes, optional
     length : float, optional
-        Length of the whisker, m. With it both axes are fractions of it and the JND is divided by
-        `weber_fraction`, where that is given, as in the paper; without it they are in mm.
+        Length of the whisker, m, by which both axes are divided, as in the paper; by default they
+        are in mm.
     weber_fraction : float, optional
-        See `length`.
+        Weber fraction by which the JND is divided too, if `length` is given.
 
     Examples
     --------
@@ -222,7 +219,7 @@ def jnd_lines(
     for i, (label, table) in enumerate(named.items()):
         rows = table.sort_values("radial_distance_mm")
         prefix = f"{drawable(label)}: " if label else ""
-        # The closed form holds for small angles; where it is not what the observer has, both show.
+        # The closed form is for small angles: the observer's own slope is shown where it differs.
         x = rows["radial_distance_mm"].to_numpy(float) / x_unit
         exact = rows["propagation_mm"].to_numpy(float) / y_unit
         closed = rows["closed_form_mm"].to_numpy(float) / y_unit
@@ -250,7 +247,7 @@ def jnd_lines(
 
 
 def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The rows of each deflection angle, by its label."""
+    """The rows at each deflection angle, by its label."""
     rows = table.reset_index()
     if "deflection_angle_deg" not in rows or rows["deflection_angle_deg"].nunique() < 2:
         return {"": rows}
@@ -261,24 +258,24 @@ def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
 def jnd_surface(
     table: pd.DataFrame, ax: Axes | None = None, *, length: float, weber_fraction: float
 ) -> Axes:
-    """The JND over radial distance and deflection angle, up to where the whisker flicks past.
+    """Plot the JND over radial distance and deflection angle up to flick-past (figure 4b).
 
-    The paper's figure 4b, which ends where the contact angle is 90°. With noise in one signal alone
-    the linear JND has a *false zero*, a dark band about the line drawn here: there the other signal
-    no longer changes with the angle, and to first order distance is known exactly. No posterior has
-    it. With noise in the moment alone it lies beyond the 90°; in the axial force alone, within them
-    from a fifth of the length outwards.
+    The paper's figure ends at a contact angle of 90°. With noise in only one signal the linear JND
+    has a *false zero*, drawn as a line in a dark band: the other signal does not change with the
+    angle there, so that to first order distance is known exactly. No posterior has it. With noise
+    in the moment only, it lies beyond 90°; in the axial force only, below 90° from a fifth of the
+    length outwards.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``radial_distance_mm``, ``deflection_angle_deg`` and ``jnd_mm``: for every distance
-        equally many angles, the last of them where the whisker flicks past. If there are
-        ``contact_angle_deg`` and ``signed_jnd_mm``, which changes sign at a false zero, the contact
-        angle of 90° and the false zero are drawn. From `sensitivity.linear_surface`, say.
+        As from `sensitivity.linear_surface`: ``radial_distance_mm``, ``deflection_angle_deg`` and
+        ``jnd_mm``, with the same number of angles at every distance, the last of them at
+        flick-past. ``contact_angle_deg`` adds the line of 90°, and ``signed_jnd_mm``, which
+        changes sign at a false zero, the line of the false zero.
     ax : Axes, optional
     length, weber_fraction : float
-        m. The JND is shown as a fraction of their product, the distance as one of the length.
+        Length L (m) and Weber fraction k: the axes are r/L and JND/(kL).
     """
     ax = axes_or_new(ax, SINGLE + 0.6, 3.0)
     fill_surface(ax, table, length, weber_fraction)
@@ -286,7 +283,7 @@ def jnd_surface(
 
 
 def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: float) -> None:
-    """The colours, lines and labels of `jnd_surface`, without its legend."""
+    """Draw the colours, lines and labels of `jnd_surface`, without its legend."""
     names = ["radial_distance_mm", "deflection_angle_deg", "jnd_mm"]
     rows = table.sort_values(names[:2])
     count = rows["radial_distance_mm"].nunique()
@@ -319,9 +316,16 @@ def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: f
 def located(
     table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None, by: str = ""
 ) -> Axes:
-    """Distance with its 95 % interval, over rows or the column `against`; `by` names touches.
+    """Plot a table from `locate`: distances with 95 % intervals.
 
-    With the same column for both, over touches: one posterior each.
+    Parameters
+    ----------
+    table : DataFrame
+    ax : Axes, optional
+    against : str, optional
+        Column of the horizontal axis; by default the row.
+    by : str
+        Column that numbers touches. If it is also `against`, only touches are drawn.
     """
     ax = axes_or_new(ax, DOUBLE)
     names = ("radial_distance_mm", "lower_mm", "upper_mm")
@@ -349,7 +353,7 @@ def located(
 
 @styled
 def calibrated(found: Any, ax: Axes | None = None) -> Axes:
-    """Slopes of taps over what a `Calibration` fits, against distance, with its Weber noise."""
+    """Plot measured over fitted slopes of a `Calibration` against distance, with its noise."""
     ax = axes_or_new(ax, DOUBLE)
     taps = found.residuals
     k = found.noise.weber_fraction
@@ -363,7 +367,7 @@ def calibrated(found: Any, ax: Axes | None = None) -> Axes:
 
 @styled
 def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:
-    """Whiskers from above, a colour and line style for each row; mm."""
+    """Plot whiskers from above in mm, with a colour and line style for each row."""
     ax = axes_or_new(ax, DOUBLE, 2.6)
     for row, (colour, line) in enumerate(zip(COLOURS, [*LINES, "-"], strict=False)):
         mine = [w for w in array.whiskers.values() if w.identity[0] == "ABCDE"[row]]
@@ -377,10 +381,10 @@ def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:
 
 
 def from_above(whisker: Follicle) -> tuple[np.ndarray, np.ndarray]:
-    """x and y, mm, along a whisker at rest in its plane of whisking."""
+    """x and y (mm) along a whisker at rest, in its plane of whisking."""
     law, straight = getattr(whisker.whisker, "law", None), whisker.whisker
     arc = np.linspace(0.0, getattr(straight, "whisker", straight).length, 40)
-    # Curvature is positive away from the object, at positive angles of deflection backwards.
+    # Curvature is positive away from the object; positive deflection angles point backwards.
     along, across = (arc, 0 * arc) if law is None else law.point(arc)
     x, y = 1e3 * whisker.place(np.hypot(along, across), np.arctan2(across, along)).T
     return x, y
@@ -388,9 +392,9 @@ def from_above(whisker: Follicle) -> tuple[np.ndarray, np.ndarray]:
 
 @styled
 def place(found: Place, ax: Axes | None = None) -> Axes:
-    """The region that holds an object with probability 95 %, its error ellipse, the whiskers.
+    """Plot the 95 % region of an object's position, its error ellipse, and the whiskers.
 
-    Whiskers that touch are drawn thick, as they lie where nothing bends them.
+    Whiskers are drawn at rest, those in contact as thick lines.
     """
     ax = axes_or_new(ax, SINGLE, 3.0)
     x, y = 1e3 * found.places.T
@@ -419,11 +423,7 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
                 label = "_"
     (left, right), (low, high) = ((a.min(), a.max()) for a in (x[kept], y[kept]))
     room = max(right - left, high - low) * 0.75
-    ax.set(
-        xlim=((left + right) / 2 - room, (left + right) / 2 + room),
-        ylim=((low + high) / 2 - room, (low + high) / 2 + room),
-        aspect="equal",
-        xlabel="to the right (mm)",
-        ylabel="rostral (mm)",
-    )
+    ax.set_xlim((left + right) / 2 - room, (left + right) / 2 + room)
+    ax.set_ylim((low + high) / 2 - room, (low + high) / 2 + room)
+    ax.set(aspect="equal", xlabel="to the right (mm)", ylabel="rostral (mm)")
     return legend_above(ax)

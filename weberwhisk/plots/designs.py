@@ -1,4 +1,4 @@
-"""Designs of experiments: power, plans and rehearsals; a plan on a page and as a folder."""
+"""Designs of experiments: power, plans and rehearsals; plans as a page and as files."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ __all__ = [
 
 @styled
 def power_curve(found: Power | Plan, ax: Axes | None = None) -> Axes:
-    """Share of experiments that reach the goal against their size, with Monte Carlo intervals.
+    """Plot the power (share of experiments that reach the goal) against the size of experiments.
 
-    Against the number of animals where that alone varies, else against trials. Bars are Wilson's
-    95 % intervals; of a plan a line marks its own size.
+    The size is the number of animals if only that varies, else that of trials. Bars are Wilson's
+    95 % Monte Carlo intervals; for a plan a line marks its own size.
 
     Raises
     ------
     ValueError
-        For a plan whose power was not looked at.
+        For a plan without simulated power.
 
     Examples
     --------
@@ -95,16 +95,20 @@ def power_curve(found: Power | Plan, ax: Axes | None = None) -> Axes:
 
 @styled
 def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDArray[np.object_]:
-    """Expected answers at every standard, with the curve of every hypothesis fitted to them.
+    """Plot expected answers at every standard, and the curve of every hypothesis fitted to them.
 
-    The animal is a typical one and as the first hypothesis has it; bars hold 95 % of the shares
-    that chance makes of its trials.
+    Answers are those of a typical animal under the first hypothesis; bars hold 95 % of the
+    proportions in its number of trials.
 
     Parameters
     ----------
     plan : Plan
     axes : sequence of Axes, optional
-        One a standard.
+        One per standard.
+
+    Returns
+    -------
+    array of Axes
 
     Examples
     --------
@@ -139,10 +143,10 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
 
 @styled
 def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
-    """Expected JND curves of every hypothesis, and the JND that every standard will tell.
+    """Plot the expected JND curve of every hypothesis, and the expected JND at each standard.
 
-    Bands and bars are the predicted 95 % intervals of one typical animal: the curve's from all its
-    trials, a point's from those of its standard alone.
+    Bands and bars are predicted 95 % intervals for one typical animal: of the curve from all its
+    trials, of a point from the trials at its standard.
 
     Examples
     --------
@@ -167,10 +171,10 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
 
 @styled
 def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
-    """What came out of every rehearsed experiment, truth by truth.
+    """Plot the cumulative distribution of the results of simulated experiments, by truth.
 
-    With hypotheses to compare: the Bayes factor for the truth, cumulated over the runs, and the
-    criterion either way. With one: the relative half-width of the interval of k.
+    With several hypotheses: the Bayes factor for the truth, and the criterion in either direction.
+    With one: the relative half-width of the interval of k.
 
     Examples
     --------
@@ -201,10 +205,7 @@ def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
 
 @styled
 def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
-    """The Weber fraction of every animal, or of all together, under each hypothesis.
-
-    Bars are 95 % intervals.
-    """
+    """Plot Weber fractions with 95 % intervals, by animal (or for all) and hypothesis."""
     ax = axes_or_new(ax)
     subjects = list(dict.fromkeys(result.estimates["subject"]))
     middle = (len(result.log_evidence) - 1) / 2
@@ -221,7 +222,7 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
 
 @styled
 def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
-    """The comparisons of a session in order, and whether they were judged greater."""
+    """Plot the comparisons of a session in order, and whether they were judged greater."""
     ax = axes_or_new(ax, SINGLE, 2.8)
     rows = placer.trials().frame
     offset = rows["stimulus_2"] - rows["stimulus_1"]
@@ -240,7 +241,7 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
 def plan_page(plan: Plan) -> str:
     """The plan on one A4 page: numbers, expected curves, assumptions, preregistration.
 
-    HTML of one file; figures are inside it, as SVG.
+    One file of HTML, with figures inside it as SVG.
 
     Examples
     --------
@@ -270,7 +271,7 @@ def plan_page(plan: Plan) -> str:
 
 
 def _each(form: str, rows: Iterable[tuple[str, ...]]) -> str:
-    """Every row of texts in a form of HTML."""
+    """HTML of a table's rows: each filled, escaped, into a form."""
     return "".join(form.format(*map(escape, row)) for row in rows)
 
 
@@ -308,22 +309,22 @@ def _image(figure: Any, alt: str, percent: int = 100) -> str:
 def write_plan(
     plan: Plan, out: str | os.PathLike[str], *, inputs: Mapping[str, Any] | None = None
 ) -> Path:
-    """Write everything that an experiment needs into one folder; all of it or nothing.
+    """Write all files that an experiment needs into one folder: all of them or none.
 
     - ``plan.json``: the plan, for `read_plan` and `weberwhisk rehearse`;
     - ``plan.html``: one page to print; ``preregistration.txt``: its text;
     - ``trials.csv``: all trial lists, which `weberwhisk fit` reads with the answers added;
     - ``psychopy_<animal>_<session>.csv``: a conditions file for every session;
-    - ``bpod.csv``: all trials as numbers alone;
+    - ``bpod.csv``: all trials, in numbers only;
     - ``planned_levels.csv``, ``planned_jnds.csv``, ``planned_power.csv`` and figures of them.
 
     Parameters
     ----------
     plan : Plan
     out : path
-        Folder, made if it is missing.
+        Folder, created if missing.
     inputs : mapping, optional
-        What was asked, for the record ``design.run.json``.
+        The inputs of the plan, for the record ``design.run.json``.
 
     Returns
     -------
@@ -333,7 +334,7 @@ def write_plan(
     Raises
     ------
     ValueError
-        As `Run`: where the folder cannot be written or holds files of others.
+        As `Run`: if the folder cannot be written or holds other files.
 
     Examples
     --------
@@ -352,7 +353,7 @@ def write_plan(
 
 
 def fill(run: Run, plan: Plan) -> None:
-    """The files of a plan, into a run that is open; nothing where it has no folder."""
+    """Write the files of a plan in an open run; none if the run has no folder."""
     from ..design.plan_file import plan_json, preregistration
     from ..design.session import bpod_table, psychopy_tables
 

@@ -1,9 +1,9 @@
-"""Choices, the psychometric functions fitted to them, and what is known trial by trial."""
+"""Choices, the psychometric functions fitted to them, and states of single trials."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,23 +41,24 @@ __all__ = [
 
 @styled
 def psychometrics(
-    fit: WeberFit,
-    axes: Axes | Sequence[Axes] | None = None,
-    *,
-    standard: float | None = None,
+    fit: WeberFit, axes: Axes | Sequence[Axes] | None = None, *, standard: float | None = None,
     unit: str = "",
-) -> NDArray[np.object_]:
-    """Choices at every standard, or at one, with 95 % binomial intervals and the fitted curve.
+) -> NDArray[np.object_]:  # fmt: skip
+    """Plot choices at each standard with 95 % binomial intervals, and the fitted curve.
 
     Parameters
     ----------
     fit : WeberFit
     axes : Axes or sequence of Axes, optional
-        One a standard.
+        One per standard.
     standard : float, optional
-        The one to draw.
+        The only standard to draw; by default all.
     unit : str
-        Of the stimulus, for the axis.
+        Unit of the stimulus, for the axis label.
+
+    Returns
+    -------
+    array of Axes
 
     Raises
     ------
@@ -66,8 +67,8 @@ def psychometrics(
 
     Notes
     -----
-    The curve is that of a first stimulus at the standard. Choices with another first stimulus stand
-    where their difference (on a log scale) or their ratio puts them.
+    The curve is for a first stimulus at the standard. Choices with another first stimulus are drawn
+    where a second one has the same ratio to the standard (on a log scale, the same difference).
 
     Examples
     --------
@@ -77,38 +78,39 @@ def psychometrics(
     ('', 1)
     """
     known = fit.standards if standard is None else np.array([float(standard)])
+    count = len(known)
     if axes is not None:
-        given = list(np.ravel(np.array(axes, dtype=object)))
-        if len(given) < len(known):
+        drawn = np.array(axes, dtype=object).ravel()
+        if len(drawn) < count:
             raise ValueError(
-                f"There are {len(known)} standards and {len(given)} axes; name one, such as "
+                f"There are {count} standards and {len(drawn)} axes; name one, such as "
                 f"standard={known[0]:g}, or give more."
             )
-        for ax, s in zip(given, known, strict=False):
+        for ax, s in zip(drawn, known, strict=False):
             _choices(fit, ax, float(s))
             ax.set(xlabel=_stimulus_label(fit, unit), ylabel=_answer_label(fit))
             legend_above(ax)
-        return np.array(given[: len(known)], dtype=object)
-    columns = max(min(len(known), 4), 1)
-    rows = max(-(-len(known) // columns), 1)
-    width = SINGLE if columns == 1 else DOUBLE * max(columns, 2) / 4
+        return drawn[:count]
+    columns = max(min(count, 4), 1)
+    rows = max(-(-count // columns), 1)
+    width = SINGLE if columns == 1 else DOUBLE * columns / 4
     figure = open_figure(width, 0.9 + 1.55 * rows if rows > 1 else 2.6)
-    grid = figure.subplots(rows, columns, sharey=True, sharex=_relative(fit), squeeze=False)
-    axes = list(grid.ravel())
-    for spare in axes[len(known) :]:
+    sharing: Any = {"sharey": True, "sharex": _relative(fit), "squeeze": False}
+    drawn = figure.subplots(rows, columns, **sharing).ravel()
+    for spare in drawn[count:]:
         spare.set_visible(False)
-    for ax, s in zip(axes, known, strict=False):
+    for ax, s in zip(drawn, known, strict=False):
         _choices(fit, ax, float(s))
-        if len(known) > 1:
+        if count > 1:
             ax.set_title(f"standard {s:.3g}")
     figure.supxlabel(_stimulus_label(fit, unit))
     figure.supylabel(_answer_label(fit))
-    legend_over(figure, axes[:1], 3)
-    return np.array(axes[: len(known)], dtype=object)
+    legend_over(figure, drawn[:1], 3)
+    return drawn[:count]
 
 
 def _relative(fit: WeberFit) -> bool:
-    """Whether the horizontal axis is a difference: on a log scale only that matters."""
+    """Whether the horizontal axis is a difference of stimuli, as on a log scale."""
     return bool(fit.trials.scale == "log")
 
 
@@ -130,13 +132,13 @@ def _answer_label(fit: WeberFit) -> str:
 
 
 def _own_name(fit: WeberFit, columns: Sequence[str], otherwise: str) -> str:
-    """What the table that was read calls the first of these columns that it has."""
+    """The name, in the table that was read, of the first of these columns that it has."""
     names = fit.trials.frame.attrs.get("columns", {})
     return next((drawable(names[column]) for column in columns if column in names), otherwise)
 
 
 def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
-    """Where the choices at a standard stand on the axis, and their counts."""
+    """Positions on the axis of the choices at a standard, and their counts."""
     every = fit.trials.cells()
     if every.standard.size and not np.isclose(every.standard, standard).any():
         raise ValueError(
@@ -152,7 +154,7 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
     x, cells = _shown_at(fit, standard)
     n, count = cells.n, cells.count
     origin = standard if _relative(fit) else 0.0
-    if cells.sd_1 is not None and x.size > 20:  # located, every trial has places of its own
+    if cells.sd_1 is not None and x.size > 20:  # located distances differ from trial to trial
         groups = np.array_split(np.argsort(x, kind="stable"), 10)
         x = np.array([x[g].mean() for g in groups])
         n, count = (np.array([a[g].sum() for g in groups]) for a in (n, count))
@@ -161,12 +163,12 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
     if x.size:
         reach = [min(x.min(), standard - origin), max(x.max(), standard - origin)]
         margin = 0.08 * (reach[1] - reach[0]) or 0.1 * abs(standard) or 0.1
-        lowest, highest = fit.encoding.domain  # ends of which may be infinite
+        lowest, highest = fit.encoding.domain  # may be infinite
         edges = np.array([reach[0] - margin, reach[1] + margin]) + origin
         edges = np.clip(edges, lowest + 1e-6 * margin, highest - 1e-6 * margin)
         curve = fit.psychometric(np.linspace(edges[0], edges[1], 121), standard)
         at = curve["comparison"] - origin
-        # A fit to which every parameter was given has a curve and no band.
+        # With every parameter given there is a curve but no band.
         drawn = "fit" if fit.model.n_states == 1 else "engaged"
         band, line = (f"{drawn}, 95 %", None) if fit.parameters else (None, "given parameters")
         ends = curve["lower"], curve["upper"]
@@ -179,24 +181,24 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
 
 
 def binomial_interval(count: Array, n: Array) -> tuple[Array, Array]:
-    """Jeffreys' 95 % interval of a proportion, closed where all or none were."""
+    """Jeffreys' 95 % interval of a proportion; it reaches 0 or 1 where count is 0 or n."""
     low = np.where(count == 0, 0.0, betaincinv(count + 0.5, n - count + 0.5, 0.025))
     high = np.where(count == n, 1.0, betaincinv(count + 0.5, n - count + 0.5, 0.975))
-    # Rounding must not turn an error bar round.
+    # Rounding must not make the length of an error bar negative.
     return np.minimum(low, count / n), np.maximum(high, count / n)
 
 
 @styled
 def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None) -> Axes:
-    """Residuals in standard errors, with the band that holds 95 % of them if the model does.
+    """Plot residuals in standard errors, with the band of 95 % of them if the model is right.
 
     Parameters
     ----------
     table : DataFrame
-        From `residuals_by` or `quantile_residuals`: its `z` is drawn.
+        From `residuals_by` or `quantile_residuals`; its column `z` is drawn.
     ax : Axes, optional
     against : str, optional
-        The column along the horizontal axis: `stimulus_2` by default, or the table's first.
+        Column of the horizontal axis; by default `stimulus_2`, or else the table's first.
 
     Examples
     --------
@@ -224,9 +226,9 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
 
 @styled
 def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
-    """Probability that the animal was engaged on each trial, given all of its answers.
+    """Plot the probability that the animal was engaged on each trial, given all its answers.
 
-    Trials in the order of the table; dotted lines are where sessions begin.
+    Trials are in the order of the table; dotted lines mark the beginning of sessions.
 
     Examples
     --------
@@ -251,7 +253,7 @@ def engagement(fit: StateFit, ax: Axes | None = None) -> Axes:
 
 @styled
 def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
-    """Weber fractions of animals from their own trials, and in the light of the others.
+    """Plot the Weber fraction of each animal, fitted alone and within the population.
 
     Examples
     --------
@@ -284,9 +286,9 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
 def population(
     fit: PopulationFit, ax: Axes | None = None, *, unit: str = ""
 ) -> Axes | NDArray[np.object_]:
-    """Every animal's choices and curve at up to three standards, and `shrinkage` beside them.
+    """Plot every animal's choices and curve at up to three standards, and `shrinkage`.
 
-    The curves are those of each animal's own trials. On one `ax` `shrinkage` alone is drawn.
+    Curves are fitted to each animal alone. With a given `ax` only `shrinkage` is drawn.
 
     Examples
     --------
@@ -321,7 +323,7 @@ def population(
 
 
 def _animal(fit: WeberFit, ax: Axes, standard: float, i: int, name: str) -> None:
-    """One animal's shares and the median curve of its own fit."""
+    """Draw one animal's proportions, and the median curve of its own fit."""
     x, cells = _shown_at(fit, standard)
     origin = standard if _relative(fit) else 0.0
     curve = fit.psychometric(np.linspace(x.min(), x.max(), 81) + origin, standard)
@@ -331,9 +333,9 @@ def _animal(fit: WeberFit, ax: Axes, standard: float, i: int, name: str) -> None
 
 @styled
 def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
-    """How much worse than the best each observer explains the choices.
+    """Plot by how many nats each observer is worse than the best.
 
-    Evidence and trials left out (LOO), in nats; the latter with one standard error.
+    By log evidence, and by leave-one-out cross-validation (LOO) of trials with one standard error.
 
     Examples
     --------

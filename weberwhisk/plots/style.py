@@ -1,4 +1,4 @@
-"""The look of every figure: colours, markers, sizes, and files that come out the same."""
+"""The style of every figure: colours, markers, sizes, and reproducible files."""
 
 from __future__ import annotations
 
@@ -30,34 +30,25 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 #: Widths of a printed column and of two, inches.
 SINGLE, DOUBLE = 3.5, 7.2
 _STYLE: Any = {
-    "font.size": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "legend.fontsize": 7.0,
-    "axes.titlesize": 8,
-    "figure.labelsize": 8,
-    "patch.linewidth": 0,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4,
-}
-SMALL: float = _STYLE["legend.fontsize"]  # size of small print, points: none is smaller
-_SAVING: Any = {"svg.hashsalt": "weberwhisk"}
-
+    "font.size": 8, "axes.titlesize": 8, "figure.labelsize": 8, "legend.fontsize": 7.0,
+    "legend.frameon": False, "axes.spines.top": False, "axes.spines.right": False,
+    "patch.linewidth": 0, "lines.linewidth": 1.3, "lines.markersize": 4,
+}  # fmt: skip
+SMALL: float = _STYLE["legend.fontsize"]  # the smallest size of text, points
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Draw in this module's style and leave the user's own as it was."""
+    """Draw in this module's style without changing the user's."""
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> R:
         if _is_shown():
             from matplotlib import pyplot
 
-            pyplot.draw_if_interactive()  # loads the backend, whose own parameters are to stay
+            pyplot.draw_if_interactive()  # loads the backend, which sets parameters of its own
         with matplotlib.rc_context(_STYLE):
             return draw(*arguments, **options)
 
@@ -65,14 +56,13 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def drawable(name: object, longest: int = 24) -> str:
-    """A name as the font can draw it: other characters by their code, no formula, cut if long."""
+    """A name as the font can draw it: unknown characters escaped, no formula, cut if long."""
     font = get_font(findfont(FontProperties()))
     known = font.get_charmap()
-    drawn = (
+    text = "".join(
         c if ord(c) in known and c.isprintable() else c.encode("unicode_escape").decode()
         for c in str(name)
     )
-    text = "".join(drawn)
     text = text if len(text) <= longest else f"{text[: longest - 1]}…"
     return text.replace("$", r"\$")
 
@@ -81,11 +71,11 @@ class _Figure(Figure):
     """A figure that keeps its style wherever it is drawn, and shows itself in a notebook."""
 
     def draw(self, renderer: Any) -> None:
-        with matplotlib.rc_context(_STYLE):  # ticks are made as late as this
+        with matplotlib.rc_context(_STYLE):  # ticks are only made here
             super().draw(renderer)
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        with matplotlib.rc_context(_STYLE | _SAVING):  # the same file each time
+        with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "weberwhisk"}):  # same file each time
             super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
@@ -94,7 +84,7 @@ class _Figure(Figure):
         return content.getvalue()
 
     def _ipython_display_(self) -> None:
-        """Show it once, also where `pyplot` would show it again at the end of the cell."""
+        """Show the figure once, although `pyplot` would show it again at the end of the cell."""
         from IPython.display import Image, display
         from matplotlib import pyplot
 
@@ -104,11 +94,11 @@ class _Figure(Figure):
 
 
 def new_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
-    """An empty figure in this module's style, inches; `pyplot` does not know it."""
+    """An empty figure in this module's style, size in inches, unknown to `pyplot`."""
     return _Figure(figsize=(width, height), dpi=200, layout="constrained")
 
 
-#: Whether figures that are drawn on are to be shown, see `shown`.
+#: Whether new figures are shown by `pyplot`; see `shown`.
 _SHOWING: ContextVar[bool] = ContextVar("showing", default=False)
 
 
@@ -118,18 +108,17 @@ def _is_shown() -> bool:
 
 
 def open_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
-    """As `new_figure`; in a notebook, or drawn by `.plot()`, `pyplot` knows it and shows it."""
+    """As `new_figure`; in a notebook, or when drawn by `.plot()`, `pyplot` shows the figure."""
     if not _is_shown():
         return new_figure(width, height)
     from matplotlib import pyplot
 
-    return pyplot.figure(
-        FigureClass=_Figure, figsize=(width, height), dpi=200, layout="constrained"
-    )
+    size = width, height
+    return pyplot.figure(FigureClass=_Figure, figsize=size, dpi=200, layout="constrained")
 
 
 def shown(draw: Callable[..., Any], result: object, ax: object, options: dict[str, Any]) -> Figure:
-    """What a result's `.plot()` returns: the figure of one of this package's functions."""
+    """The figure of a result, for its `.plot()`: drawn by one of this package's functions."""
     token = _SHOWING.set(True)
     try:
         return figure_of(draw(result, ax, **options))
@@ -143,26 +132,26 @@ def look(i: int, **more: Any) -> dict[str, Any]:
 
 
 def mark(i: int, **more: Any) -> dict[str, Any]:
-    """Colour and marker of the i-th kind, small and without a line."""
+    """Colour and marker of the i-th series, small and without a line."""
     style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
     return {**style, "markersize": 3, "linestyle": "none", **more}
 
 
 def bars(ax: Axes, x: Any, ends: Iterable[Any], i: int, **more: Any) -> None:
-    """Marks of the i-th kind, with bars: `ends` are their heights, lower and upper ends."""
+    """Markers of the i-th series with error bars; `ends` are heights, lower and upper ends."""
     middle, low, high = (np.asarray(v, dtype=float) for v in ends)
-    # Lists: some versions of Matplotlib take a lone row of an array for a number.
+    # Lists: some versions of Matplotlib read a single row of an array as a number.
     length = [np.maximum(middle - low, 0).tolist(), np.maximum(high - middle, 0).tolist()]
     ax.errorbar(x, middle, length, **mark(i, capsize=2, elinewidth=1) | more)
 
 
 def errors(ax: Axes, x: Any, y: Any, error: Any, i: int, **more: Any) -> None:
-    """As `bars`, of 1.96 standard errors."""
+    """As `bars`, with bars of ±1.96 standard errors."""
     bars(ax, x, (y, y - 1.96 * error, y + 1.96 * error), i, **more)
 
 
 def log_numbers(*axes: Axis) -> None:
-    """Plain numbers on logarithmic axes that do not run together, few or many decades."""
+    """Plain numbers on logarithmic axes, spaced to be legible over few or many decades."""
     for axis in axes:
         low, high = axis.get_view_interval()
         few = np.log10(high / low) < 2.5
@@ -178,21 +167,21 @@ def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> 
 
 
 def figure_of(axes: Any) -> Figure:
-    """The figure that axes, or an array of them, stand in."""
+    """The figure that axes, or an array of axes, belong to."""
     figure = np.ravel(np.asarray(axes, dtype=object))[0].figure
     assert isinstance(figure, Figure)
     return figure
 
 
 def legend_above(ax: Axes, columns: int = 2) -> Axes:
-    """The axes with a legend over them, which cannot cover data; none where nothing has a name."""
+    """The axes with a legend above them, clear of the data; no legend without labels."""
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=columns)
     return ax
 
 
 def legend_over(figure: Any, axes: Iterable[Axes], columns: int) -> None:
-    """Every name of several axes once, above them all; no legend where nothing has a name."""
+    """One legend above several axes, with every label once; no legend without labels."""
     found: dict[str, Any] = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
