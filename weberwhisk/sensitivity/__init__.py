@@ -1,4 +1,4 @@
-"""How well radial distance is known: just noticeable differences, their curves, and bits."""
+"""Sensitivity to radial distance: just noticeable differences, their curves, and information."""
 
 from .bits import Bits, added_information, alone, fused_jnds, information, prior_draws
 from .curves import JNDCurve, jnd_curve, jnd_sweep, linear_surface, touches_jnd

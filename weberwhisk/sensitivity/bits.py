@@ -1,6 +1,6 @@
-"""Bits that a reading tells of distance, of one cue and of several together.
+"""Information about distance in a reading, for one cue and for several together.
 
-"None of the methods exclude any others" (§2, §4): what a fusion of cues gains is the information
+"None of the methods exclude any others" (§2, §4): the gain of a fusion of cues is the information
 that it adds, in bits.
 """
 
@@ -39,15 +39,16 @@ class Bits(NamedTuple):
 
 
 class DistancePrior:
-    """The prior of distance that an observer of more unknowns has, for one of fewer.
+    """An observer's marginal prior of distance, for an observer with fewer unknowns.
 
-    Made for `Observer`'s ``prior``; density between places is linear.
+    It has the methods of SciPy's distributions that `Observer` uses; lengths are in metres. The
+    density is linear between grid points.
     """
 
     def __init__(self, observer: Observer) -> None:
         self.low, self.high = observer.reach
         self.r = np.linspace(self.low, self.high, 20_001)
-        # At the ends themselves there is no contact: what is next to them tells.
+        # There is no contact at the very ends: take the density next to them.
         inside = np.clip(self.r, np.nextafter(self.low, 1.0), np.nextafter(self.high, 0.0))
         density = distance_prior(observer, inside)
         mass = np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(self.r))
@@ -80,17 +81,21 @@ class DistancePrior:
 
 
 def information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) -> Bits:
-    """How much one reading tells of the radial distance, on average over the prior.
+    """Mutual information of radial distance and one reading, in bits.
 
-    The mutual information of distance and reading: entropy of the prior of r less the mean
-    entropy of its posterior, everything else integrated out.
+    The entropy of the prior of r minus the mean entropy of its posterior, with the other unknowns
+    marginalised.
 
     Parameters
     ----------
     observer : Observer
     n_readings : int
-        Contacts drawn from the prior, with a reading each.
+        Contacts drawn from the prior, with one reading each.
     seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    Bits
 
     Raises
     ------
@@ -99,8 +104,8 @@ def information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) ->
 
     Notes
     -----
-    The mean of ln p(r | reading)/p(r) at the true r, other unknowns integrated out by quadrature.
-    Of the prior flat over the reach R, and JNDs Δ small beside it, it is ⟨log₂(R/(Δ√(2πe)))⟩.
+    The mean of log₂ p(r | reading)/p(r) at the true r, other unknowns marginalised by quadrature.
+    For a flat prior over the reach R and JNDs Δ ≪ R it is ⟨log₂(R/(Δ√(2πe)))⟩.
 
     Examples
     --------
@@ -111,13 +116,12 @@ def information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) ->
     4.0 ± 0.1 bits
     """
     n_readings = whole("n_readings", n_readings, "write 400, say", least=2)
-    contact_seed, reading_seed = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(
-        2
-    )
+    sequence = np.random.SeedSequence(int(generator(seed).integers(2**63)))
+    contact_seed, reading_seed = sequence.spawn(2)
     contact = prior_draws(observer, n_readings, contact_seed)
     reading = observer.read(contact, reading_seed)
     r = contact[:, 0]
-    with np.errstate(divide="ignore"):  # where a reading excludes its contact, next to never
+    with np.errstate(divide="ignore"):  # a reading very rarely excludes its contact
         gained = np.log(density_of_distance(sums_of(observer, reading), r))
     gained = np.maximum(gained, gained[np.isfinite(gained)].min())
     gained = (gained - DistancePrior(observer).logpdf(r)) / np.log(2)
@@ -130,7 +134,7 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     if not observer.space.reach_varies:
         r = DistancePrior(observer).ppf(rng.random(count))
         return _drawn(observer, r, observer.angle_range(r)[1] if observer.bounded > 1 else r, rng)
-    # Of all that may be, what a further unknown lets the whisker hold.
+    # The reach depends on a further unknown: draw from the widest range, keep possible contacts.
     low, high = observer.reach
     ends = np.linspace(low, high, 514)[1:-1]
     widest = 1.001 * observer.angle_range(ends)[1].max() if observer.bounded > 1 else 0.0
@@ -150,13 +154,13 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
 
 
 def _within(prior: Any, low: Any, high: Any, u: Array) -> Array:
-    """Values (n,) of a distribution between two ends, at probabilities u (n,) there."""
+    """Quantiles (n,) at probabilities u (n,) of a distribution truncated to two ends."""
     below = prior.cdf(low)
     return np.asarray(prior.ppf(below + u * (prior.cdf(high) - below)))
 
 
 def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator) -> Array:
-    """Contacts (n, U) at distances r (n,), angles within a width (n,) of their range."""
+    """Contacts (n, U) at distances r (n,), with angles in the first `width` (n,) of their range."""
     _, *others = observer.unknowns
     drawn = {name: rng.random(len(r)) for name in others}
     for name, u in drawn.items():
@@ -170,10 +174,23 @@ def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator)
 
 
 def alone(observer: Observer) -> list[Observer]:
-    """The observers of the single cues of a fusion, each with its own noise and the same prior.
+    """The observers of the single cues of a fusion, with their own noise and the fusion's prior.
 
-    Where a cue does not know of the deflection angle, the prior of distance is what the fusion's
-    prior says of it.
+    A cue without an unknown deflection angle has the marginal prior of distance.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of a `Fused` cue.
+
+    Returns
+    -------
+    list of Observer
+
+    Raises
+    ------
+    ValueError
+        For another cue, and noise that was not given cue by cue.
     """
     return [_part(observer, [i]) for i in range(len(_fused(observer).cues))]
 
@@ -188,7 +205,7 @@ def _fused(observer: Observer) -> Fused:
 
 
 def _part(observer: Observer, kept: list[int]) -> Observer:
-    """The observer of some of a fusion's cues."""
+    """The observer of a subset of a fusion's cues, by index."""
     fused = _fused(observer)
     ends = np.cumsum([0, *(len(cue.signal_names) for cue in fused.cues)])
     noises = []
@@ -216,7 +233,7 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
 
 
 def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed = 1) -> pd.DataFrame:
-    """What each cue of a fusion tells of distance alone, and what it adds to the others.
+    """Information about distance in each cue of a fusion alone, and added to the other cues.
 
     Parameters
     ----------
@@ -229,9 +246,9 @@ def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed =
     Returns
     -------
     pandas.DataFrame
-        A row a cue, and last one of all together: ``cue``, ``alone_bits`` and ``added_bits``, with
-        Monte Carlo errors ``alone_error_bits`` and ``added_error_bits``. What the cues add does
-        not sum to the whole: what two of them tell alike, neither adds.
+        One row per cue, and a last one for all: ``cue``, ``alone_bits`` and ``added_bits``, with
+        Monte Carlo errors ``alone_error_bits`` and ``added_error_bits``. Added information does
+        not sum to that of all cues: what two cues share, neither adds.
 
     Raises
     ------
@@ -254,25 +271,25 @@ def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed =
 
 
 def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -> pd.DataFrame:
-    """JNDs of each cue of a fusion alone and of all together, one row a contact.
+    """JNDs of each cue of a fusion alone and of all together, one row per contact.
 
     Parameters
     ----------
     observer : Observer
         Of a `Fused` cue.
     contact : array, shape (..., U)
-        Of all of its unknowns.
+        All unknowns of the fusion.
     criterion : str
         See `criterion_factor`.
 
     Returns
     -------
     pandas.DataFrame
-        The unknowns, ``criterion``; Fisher JNDs: of each cue under its name, of the ``best_mm`` of
-        them, of their ``optimal_mm`` combination as though they shared nothing but the distance
-        (1/Δ² = Σ 1/Δᵢ²), and ``together_mm``; and ``gain``, best over together. Where cues
-        share another unknown, together is better than optimal if one tells what the other needs,
-        and worse if both lean on the same prior of it.
+        The unknowns, ``criterion`` and Fisher JNDs: of each cue, by its name; ``best_mm``, the
+        smallest of them; ``optimal_mm``, combined as if cues shared only the distance
+        (1/Δ² = Σ 1/Δᵢ²); ``together_mm``, of the fusion; and ``gain``, best over together. Where
+        cues share another unknown, together is better than optimal if one cue informs the other
+        about it, and worse if both depend on the same prior of it.
 
     Raises
     ------
@@ -297,7 +314,7 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
     names = [f"{i}: {part.cue!r}" for i, part in enumerate(parts, start=1)]
     table[names] = jnds.T
     table["best"] = np.min(jnds, axis=0)
-    with np.errstate(divide="ignore"):  # infinite where no cue tells anything alone
+    with np.errstate(divide="ignore"):  # infinite where no cue alone is informative
         table["optimal"] = np.sum(jnds**-2.0, axis=0) ** -0.5
     table["together"] = factor * fisher_jnd(observer, place)
     table["gain"] = table["best"] / table["together"]

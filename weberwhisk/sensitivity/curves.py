@@ -1,4 +1,4 @@
-"""JND curves, by every route, and sweeps of them over Weber fractions and contacts."""
+"""JND curves by every route, and sweeps over Weber fractions and contacts."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ _JNDS = ("closed_form", "propagation", "fisher", "posterior", "posterior_error",
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JNDCurve(Shown):
-    """JNDs of radial distance by every route, a row a contact; from `jnd_curve`.
+    """JNDs of radial distance by every route, one row per contact; from `jnd_curve`.
 
     Attributes
     ----------
     observer : Observer
     table : DataFrame
-        Indexed by the contact, ``radial_distance_mm`` and, where the cue needs it,
-        ``deflection_angle_deg``: ``criterion``, ``closed_form_mm`` (small angle),
-        ``propagation_mm`` (by the observer's own model), ``fisher_mm``, ``posterior_mm`` (mean sd
-        of the posteriors) with its Monte Carlo error ``posterior_error_mm``, ``estimator_mm`` (sd
-        of the posterior means: how much one observer's estimate scatters) with
-        ``estimator_error_mm`` (NaN where all readings are the same event); ``unreliable`` (share of
-        posteriors whose status is not `CONVERGED`), ``linear`` (of the first two routes; see
-        `is_linear`) and ``outcome`` (in words). A contact that is not held has NaN.
+        Indexed by ``radial_distance_mm`` and, where the cue needs it, ``deflection_angle_deg``.
+        Columns: ``criterion``, ``closed_form_mm`` (small angles), ``propagation_mm`` (the
+        observer's model), ``fisher_mm``, ``posterior_mm`` (mean sd of the posteriors) and
+        ``estimator_mm`` (sd of the posterior means; NaN where all readings are the same event),
+        both with Monte Carlo errors, ``posterior_error_mm`` and ``estimator_error_mm``;
+        ``unreliable`` (share of posteriors whose status is not `CONVERGED`), ``linear`` (whether
+        the first two routes are reliable, see `is_linear`) and ``outcome`` (in words). JNDs are
+        NaN without contact.
 
     Notes
     -----
-    ``curve["posterior"]`` is one column in SI units, by its name without a unit: of those above or
-    of the contact's unknowns.
+    ``curve["posterior"]`` is a column in SI units, by its name without the unit; the contact's
+    unknowns are columns too.
     """
 
     _figure: ClassVar[str] = "jnd_lines"
@@ -62,7 +62,7 @@ class JNDCurve(Shown):
 
     @classmethod
     def joined(cls, curves: Sequence[JNDCurve]) -> JNDCurve:
-        """The contacts of several curves of one observer."""
+        """One curve with the contacts of several curves of one observer."""
         rows = pd.concat([curve._rows for curve in curves], ignore_index=True)
         return cls(curves[0].observer, rows)
 
@@ -89,27 +89,22 @@ class JNDCurve(Shown):
             return f"{len(self)} contacts, none of them held"
         mm = 1e3 * held[["radial_distance", "posterior"]]
         at = [mm.iloc[int(k)] for k in (mm["posterior"].argmin(), mm["posterior"].argmax())]
-        ends = " to ".join(
-            f"{p['posterior']:.3g} mm (at {p['radial_distance']:.3g} mm)" for p in at
-        )
+        ends = (f"{p['posterior']:.3g} mm (at {p['radial_distance']:.3g} mm)" for p in at)
         bad = int((held["unreliable"] > 0).sum())
-        note = self.observer.note
-        return (
-            f"JND {ends}, {self['criterion'].iloc[0]}, by posteriors; {len(held)} of "
-            f"{len(self)} contacts held"
-            + (f", {bad} with posteriors to check" if bad else "")
-            + (f"; {note}" if note else "")
-        )
+        line = f"JND {' to '.join(ends)}, {self['criterion'].iloc[0]}, by posteriors; "
+        line += f"{len(held)} of {len(self)} contacts held"
+        line += f", {bad} with posteriors to check" if bad else ""
+        return f"{line}; {self.observer.note}" if self.observer.note else line
 
     def lines(self) -> dict[str, pd.DataFrame]:
-        """What a chart of it shows: `table`, and the lines in between; a table an angle."""
+        """Tables for a chart, by deflection angle: `table`, and points of the lines between."""
         criterion, contacts = str(self["criterion"].iloc[0]), self.table.reset_index()
         factor = criterion_factor(criterion)
         r = np.linspace(0.005, 0.999, 200) * self.observer.forward.length
         angles: list[float | None] = [None]
         if "deflection_angle" in self._rows:
             angles = list(dict.fromkeys(self["deflection_angle"]))
-            if len(angles) > len(self) / 2 > 1:  # contacts of all kinds make no lines
+            if len(angles) > len(self) / 2 > 1:  # too few contacts at each angle for lines
                 return {"": contacts}
         parts = {}
         for at in angles:
@@ -132,16 +127,10 @@ class JNDCurve(Shown):
 
 
 def jnd_curve(
-    observer: Observer,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike | None = None,
-    *,
-    method: str = "quadrature",
-    criterion: str = SD,
-    n_readings: int = 200,
-    seed: Seed = 1,
-) -> JNDCurve:
-    """The JND of radial distance by every route, one row a contact.
+    observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None = None, *,
+    method: str = "quadrature", criterion: str = SD, n_readings: int = 200, seed: Seed = 1,
+) -> JNDCurve:  # fmt: skip
+    """The JND of radial distance by every route, one row per contact.
 
     Parameters
     ----------
@@ -149,10 +138,10 @@ def jnd_curve(
     radial_distance : float or array
         m.
     deflection_angle : float or array, optional
-        rad; needed by cues to which the angle is unknown, and broadcast with the distance. Any
-        further unknown has its prior's median.
+        rad; needed by cues with an unknown angle, and broadcast with the distance. Further unknowns
+        have the medians of their priors.
     method : {"quadrature", "emcee", "laplace"}
-        How the posteriors are found; see `posterior`.
+        How posteriors are computed; see `posterior`.
     criterion : str
         See `criterion_factor`.
     n_readings : int
@@ -168,14 +157,14 @@ def jnd_curve(
     Raises
     ------
     ValueError
-        For input that is not finite or positive, an unknown criterion or method, a cue that needs
-        a deflection angle, fewer than two readings.
+        For input that is not finite or positive, an unknown criterion or method, a missing or
+        superfluous deflection angle, and fewer than two readings.
 
     Notes
     -----
-    Quadrature works out each posterior to 1e-2 of its sd (to 1e-6 with one unknown), and most of
-    them to a few thousandths. In the mean over the readings that is far below the Monte Carlo
-    error, which for 200 of them is some 1e-2 of the JND.
+    Quadrature has an error of at most 1e-2 of the posterior's sd (1e-6 with one unknown), mostly a
+    few thousandths. The mean over readings has a far larger Monte Carlo error, about 1e-2 of the
+    JND for 200 readings.
 
     Examples
     --------
@@ -213,7 +202,7 @@ def jnd_curve(
         sd, mean, status = (
             np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean, result.status)
         )
-        # All readings alike, as those of one event may be, tell nothing of their scatter.
+        # Identical readings, such as those of one event, say nothing about the scatter.
         spread = np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1)
         scatter = np.where(spread == 0, np.nan, mean.std(axis=1, ddof=1))
         for name, found in (
@@ -265,25 +254,22 @@ def linear_surface(observer: Observer, points: int = 90) -> pd.DataFrame:
     observer : Observer
         Of a `ForceMap` with Weber noise.
     points : int
-        Distances, and angles at each of them.
+        Number of distances, and of angles at each distance.
 
     Returns
     -------
     DataFrame
-        As `plots.jnd_surface` takes it. Where one signal alone is noisy there is
-        ``signed_jnd_mm``: to first order an error of that signal moves r by the slope of the
-        *other* in θ_d over the Jacobian; where that slope passes through zero the signed JND does,
-        a false zero that no posterior has.
+        For `plots.jnd_surface`. If only one signal is noisy there is ``signed_jnd_mm``: to first
+        order an error of that signal changes r in proportion to the *other* signal's slope in θ_d,
+        so the signed JND is zero where that slope is, a false zero that no posterior has.
     """
-    # Close to the limit the slopes vary fast: angles stand denser there.
+    # Slopes vary fast close to the limit, so angles are denser there.
     share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
     contact, alpha = up_to_the_fold(observer.whisker, np.linspace(0.02, 0.99, points), share)
     columns = {
-        "radial_distance": contact[..., 0],
-        "deflection_angle": contact[..., 1],
-        "jnd": weber_propagation(observer, contact),
-        "contact_angle": alpha,
-    }
+        "radial_distance": contact[..., 0], "deflection_angle": contact[..., 1],
+        "jnd": weber_propagation(observer, contact), "contact_angle": alpha,
+    }  # fmt: skip
     moment, force = observer.noise.weber_fractions(2)
     if min(moment, force) < 1e-6 * max(moment, force):
         slopes = elastica.signal_jacobian(observer.whisker, *np.moveaxis(contact, -1, 0))[..., 1]
@@ -294,7 +280,7 @@ def linear_surface(observer: Observer, points: int = 90) -> pd.DataFrame:
 
 
 def up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Array, Array]:
-    """Contacts (P, S, 2) at places over L and shares of the largest deflection; their angles."""
+    """Contacts (P, S, 2) at `places` (r/L) and shares of the largest deflection; contact angles."""
     r = places * whisker.length
     limit = np.asarray(flick_past(whisker, r).deflection_angle)
     contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * shares), axis=-1)
@@ -305,36 +291,28 @@ def up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Arra
 
 
 def jnd_sweep(
-    whisker: Whisker,
-    weber_fraction: ArrayLike,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike | None = None,
-    *,
-    method: str = "quadrature",
-    criterion: str = SD,
-    n_readings: int = 200,
-    seed: int | np.random.SeedSequence,
-    workers: int = 1,
-    scheduler: str | None = None,
-    out: str | os.PathLike[str] | None = None,
+    whisker: Whisker, weber_fraction: ArrayLike, radial_distance: ArrayLike,
+    deflection_angle: ArrayLike | None = None, *, method: str = "quadrature", criterion: str = SD,
+    n_readings: int = 200, seed: int | np.random.SeedSequence, workers: int = 1,
+    scheduler: str | None = None, out: str | os.PathLike[str] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> pd.DataFrame:
-    """The JND of every combination of Weber fraction, deflection angle and distance.
+) -> pd.DataFrame:  # fmt: skip
+    """The JND for every combination of Weber fraction, deflection angle and distance.
 
-    With angles that is figure 4b's surface, by full posteriors: 30 distances × 30 angles × 100
-    readings take some 8 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
-    paper's linear surface is there, and where that is not to be believed.
+    With angles this is the surface of figure 4b by full posteriors: 30 distances × 30 angles × 100
+    readings take some 8 s on one core. Its columns ``propagation_mm`` and ``linear`` give the
+    paper's linear surface and where that is reliable.
 
     Parameters
     ----------
     whisker : Whisker
-        One, not an array of them.
+        A single whisker, not an array.
     weber_fraction : array_like
     radial_distance : array_like
         m.
     deflection_angle : array_like, optional
-        rad. Given, distance is felt by the map of moment and axial force (§2f), else by a light
-        tap (§2e).
+        rad. With it the cue is the map of moment and axial force (§2f), without it a light tap
+        (§2e).
     method, criterion, n_readings
         As for `jnd_curve`.
     seed, workers, scheduler, out, progress
@@ -343,7 +321,12 @@ def jnd_sweep(
     Returns
     -------
     pandas.DataFrame
-        ``weber_fraction``, and in mm and degrees, as their names say, the columns of `JNDCurve`.
+        ``weber_fraction``, and the index and columns of `JNDCurve.table`.
+
+    Raises
+    ------
+    ValueError
+        For an array of whiskers, and as for `jnd_curve` and `campaign.run`.
 
     Examples
     --------
@@ -368,15 +351,14 @@ def jnd_sweep(
     r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
     angles: list[float | None] = [None]
     if deflection_angle is not None:
-        angles = [
-            *checks.finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()
-        ]
+        theta = checks.finite("deflection_angle", deflection_angle, "give radians")
+        angles = [*theta.ravel().tolist()]
     how = {"radial_distance": r.tolist(), "method": method, "criterion": criterion,
            "n_readings": n_readings}  # fmt: skip
     chunks: list[dict[str, Any]] = [
-        {"whisker": fields, "weber_fraction": fraction, "deflection_angle": theta, **how}
+        {"whisker": fields, "weber_fraction": fraction, "deflection_angle": angle, **how}
         for fraction in k.tolist()
-        for theta in angles
+        for angle in angles
     ]
     return campaign.run(
         jnd_rows, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out, title="JNDs",
@@ -397,9 +379,9 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
 
 
 def _fisher_of_all(observer: Observer, contact: Array) -> float:
-    """Least sd of the distance from one reading of each contact (n, U), m.
+    """Sd of the distance from the Fisher information of one reading per contact (n, U), m.
 
-    Information adds over touches about what they share, once what is each one's own is eliminated.
+    Information about shared unknowns adds over touches; each touch's own unknowns are eliminated.
     """
     unit = np.maximum(np.abs(contact), 1e-12)
     unit[:] = unit.max(axis=0)
@@ -415,60 +397,52 @@ def _fisher_of_all(observer: Observer, contact: Array) -> float:
 
 
 def touches_jnd(
-    observer: Observer,
-    radial_distance: float,
-    deflection_angles: ArrayLike,
-    counts: ArrayLike = (1, 2, 5, 10, 20, 50),
-    *,
-    n_readings: int = 100,
-    seed: Seed = 1,
-) -> pd.DataFrame:
-    """The JND of a distance against the number of touches, beside 1/√n.
+    observer: Observer, radial_distance: float, deflection_angles: ArrayLike,
+    counts: ArrayLike = (1, 2, 5, 10, 20, 50), *, n_readings: int = 100, seed: Seed = 1,
+) -> pd.DataFrame:  # fmt: skip
+    """The JND of a distance against the number of touches, compared with 1/√n.
 
     Parameters
     ----------
     observer : Observer
-        Further unknowns are at the medians of their priors.
+        Further unknowns have the medians of their priors.
     radial_distance : float
         m.
     deflection_angles : float or array
-        Of one touch after the other, in turn, rad.
+        rad; successive touches go through these angles repeatedly.
     counts : array of int
         Numbers of touches.
     n_readings : int
-        Simulated sets of touches at each number.
+        Simulated sets of touches for each number.
     seed : int, SeedSequence or Generator
 
     Returns
     -------
     pandas.DataFrame
-        A row a number: ``count``, ``posterior_mm`` (the mean sd of posteriors), its Monte Carlo
-        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches, what they
-        share unknown as well) and ``root_n_mm`` (the first touch's Fisher JND over √n).
+        One row per number: ``count``, ``posterior_mm`` (mean sd of posteriors), its Monte Carlo
+        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches, with other
+        shared unknowns estimated too) and ``root_n_mm`` (the first touch's Fisher JND over √n).
 
     Raises
     ------
     ValueError
-        For no numbers of touches or angles, numbers of touches below 1 and of readings below 2, and
-        contacts that are not held.
+        For no angles, counts below 1, fewer than two readings, and contacts that cannot be held.
 
     Notes
     -----
-    Mice tell pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer et al.
-    2013, J Neurosci 33:6726).
+    Mice discriminate pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer
+    et al. 2013, J Neurosci 33:6726).
     """
     radial_distance = checks.positive_number("radial_distance", radial_distance, "give metres")
     angles = np.atleast_1d(checks.finite("deflection_angles", deflection_angles, "give radians"))
     if not angles.size:
         raise ValueError("deflection_angles must be one or more, got none; give radians.")
-    wanted = [
-        checks.whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)
-    ]
+    numbers = [checks.whole("counts", n, "give numbers of touches") for n in np.ravel(counts)]
     n_readings = checks.whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)
     place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
     rows = []
-    for n in wanted:
+    for n in numbers:
         theta = np.resize(angles, n)
         contact = np.stack([np.full(n, radial_distance), theta], axis=-1)[:, : observer.bounded]
         contact = np.column_stack([contact, np.tile(place, (n, 1))])

@@ -1,9 +1,8 @@
-"""How well radial distance is known: just noticeable differences.
+"""Just noticeable differences (JNDs) of radial distance.
 
-The JND here is an sd of distance times the factor of a *criterion* that is always named. The
-routes: Weber propagation (3.2)–(3.8), noise carried to distance through the slope of the signals;
-the Fisher information, which also counts what the spread itself tells; and the posterior, over
-many noisy readings.
+A JND is an sd of distance times the factor of a named *criterion*. There are three routes: Weber
+propagation (3.2)–(3.8), noise divided by the slope of the signals; the Fisher information, which
+includes the information in the size of the noise; and the posterior, over many noisy readings.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ __all__ = [
     "SD", "convert_jnd", "criterion_factor", "fisher_jnd", "is_linear", "weber_propagation",
 ]  # fmt: skip
 
-#: The criterion that is meant where none is named: the sd of one observation.
+#: The default criterion: the sd of one observation.
 SD = "d'=1"
 _PATTERN = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*%\s*(2AFC|2IFC|yes/no)\s*$", re.IGNORECASE)
 _EXAMPLES = 'write "d\'=1", "75% 2AFC" or "75% yes/no", say'
 
 
 def criterion_factor(criterion: str = SD) -> float:
-    """How many sds of one observation make a JND under a named criterion.
+    """The JND under a criterion, in sds of one observation.
 
     Parameters
     ----------
     criterion : str
         ``"d'=1"``: one sd (76.02 % correct in 2AFC). ``"75% 2AFC"`` (any percentage, also 2IFC):
-        the difference at which two noisy observations are put in the right order so often, √2·z.
-        ``"75% yes/no"``: the difference from a fixed criterion that is reported so often, z.
+        √2·z, the difference at which two noisy observations are ordered correctly that often.
+        ``"75% yes/no"``: z, the difference from a fixed criterion that is reported that often.
 
     Raises
     ------
@@ -75,13 +74,12 @@ def convert_jnd(jnd: ArrayLike, *, from_criterion: str, to_criterion: str) -> Ar
 
 
 def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | None = None) -> Array:
-    """Sd of radial distance by carrying receptor noise through the slope of the signals, (...), m.
+    """Sd of radial distance by propagation of receptor noise through the signals' slopes, (...), m.
 
-    Equations (3.2) and (3.7): Δr = |dr/dI| ΔI, for several signals √[J⁻¹ΣJ⁻ᵀ]_rr, with every
-    unknown of the cue unknown (at a second signal held fixed, as in (3.7), where its noise is
-    zero). With more signals than unknowns, the best linear combination. An unknown that the
-    whisker does not bound (a stiffness, say) is known as well as its prior says: that is one more
-    signal.
+    Equations (3.2) and (3.7): Δr = |dr/dI| ΔI, and √[J⁻¹ΣJ⁻ᵀ]_rr for several signals, with all
+    unknowns of the cue estimated together (a signal without noise is held fixed, as in (3.7)). With
+    more signals than unknowns, the best linear combination is used. An unknown that the whisker
+    does not bound (a stiffness, say) has its prior, which counts as one more signal.
 
     Parameters
     ----------
@@ -95,33 +93,39 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     Returns
     -------
     array
-        NaN where the contact is not held, and for probabilities of events; infinite where the
-        signals cannot tell distance (the cylinder's force map).
+        NaN without contact, and for probabilities of events; infinite where the signals do not
+        determine distance (the cylinder's force map).
+
+    Raises
+    ------
+    ValueError
+        For contacts of the wrong shape, a signal without noise where it is 0, and more signals
+        than unknowns whose noise is perfectly correlated.
 
     Notes
     -----
-    Linear, and so with *false zeros* that no posterior has, in either limit of the map cue. With
-    noise in the axial force alone the JND reaches zero where ∂M/∂θ_d = 0 and rises again: at
-    R = 20 and r/L = 0.3, 0.5, 0.7, 0.9 from θ_d = 46.6°, 33.3°, 20.8°, 8.8° on (contact angles of
-    84°, 71°, 59°, 47°). With noise in the moment alone it does where ∂Fx/∂θ_d = 0, at contact
-    angles of 100° to 106° and r ≤ 0.5 L, past the 90° where the paper stops. `is_linear` tells.
+    The linear JND has *false zeros* that no posterior has, in either limit of the map cue. With
+    noise in the axial force only it falls to zero where ∂M/∂θ_d = 0, and rises again beyond: at
+    R = 20 and r/L = 0.3, 0.5, 0.7, 0.9, at θ_d = 46.6°, 33.3°, 20.8°, 8.8° (contact angles of
+    84°, 71°, 59°, 47°). With noise in the moment only the zero is where ∂Fx/∂θ_d = 0, at contact
+    angles of 100° to 106° and r ≤ 0.5 L, beyond the 90° where the paper stops. `is_linear` checks.
 
-    An event is all or none, and never near its probability: no noise is so small that one event
-    could be carried to distance along a slope. Events are left out, in a fusion of cues too; the
-    information and the posterior have them.
+    Events are left out, in a fusion of cues too: an event either occurs or not, which is never
+    close to its probability, so a slope does not apply. Information and posterior include events.
     """
     contact = observer.checked(contact)
     covariance = _propagated(observer, contact, model or observer.solver)
-    # With perfectly correlated noise the exact variance can be zero, and rounding take it below.
+    # With perfectly correlated noise the variance can be zero, and negative by rounding.
     return np.sqrt(np.maximum(covariance[..., 0, 0], 0.0))
 
 
 def is_linear(observer: Observer, contact: ArrayLike) -> Flags:
-    """Whether Weber propagation can be relied on at a contact, (...).
+    """Whether Weber propagation is reliable at a contact, (...).
 
-    Where one sd of the contact to either side, along each axis of its propagated covariance, the
-    mean JND is within a factor of two of that at the contact itself. It is not about false zeros,
-    near the tip and the fold for large noise, and where the signals cannot tell distance.
+    The criterion: along each principal axis of the propagated covariance, the mean JND one sd to
+    either side is within a factor of two of that at the contact. Propagation is unreliable near
+    false zeros, near the tip and the fold for large noise, and where the signals do not determine
+    distance.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ def is_linear(observer: Observer, contact: ArrayLike) -> Flags:
 
 
 def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
-    """Covariance (..., U, U) of the contact to first order in the noise; NaN where not held."""
+    """Covariance (..., U, U) of the contact to first order in the noise; NaN without contact."""
     size = len(observer.cue.signal_names)
     linear = np.empty(observer.noise.reading_size(size), dtype=bool)
     for noise, _, readings in observer.noise.components(size):
@@ -178,7 +182,7 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
             "ww.receptors.GeneralisedWeber(0.1, floor=0.1)."
         )
     unit = _contact_scale(contact)
-    # In units of the noise and of the contact itself, so that singular means singular.
+    # Rescaled by the noise and the contact, so that a small determinant means singular.
     scaled = np.where(held[..., None, None], slope / sd[..., None] * unit[..., None, :], 0.0)
     correlation = covariance / (sd[..., :, None] * sd[..., None, :])
     if scaled.shape[-1] == scaled.shape[-2]:
@@ -201,16 +205,21 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
 
 
 def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
-    """Least sd of radial distance that the information of one reading allows, (...), m.
+    """Sd of radial distance from the Fisher information of one reading, (...), m.
 
-    The whole matrix is inverted, so that every other unknown of the cue is unknown too, or as well
-    known as its prior says where the whisker does not bound it. For one
-    signal under Weber's law √(1 + 2k²) below (3.5), as the spread informs as well.
+    The whole matrix is inverted: the cue's other unknowns are estimated too, with their priors
+    where the whisker does not bound them. For one signal under Weber's law the result is a factor
+    √(1 + 2k²) below (3.5), because the size of the noise is informative too.
 
     Parameters
     ----------
     observer : Observer
     contact : array, shape (..., U)
+
+    Returns
+    -------
+    array
+        NaN without contact; infinite where the signals do not determine distance.
     """
     contact = observer.checked(contact)
     unit = _contact_scale(contact)
@@ -224,12 +233,11 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
 def _with_priors(
     observer: Observer, contact: Array, slope: Array, covariance: Array
 ) -> tuple[Array, Array]:
-    """Slopes (..., R + n, U) and covariance of a reading and of n unknowns' prior values."""
+    """Slopes (..., R + n, U) and covariance of a reading extended by n unknowns with priors."""
     first, size = observer.bounded, slope.shape[-2]
     count = contact.shape[-1] - first
-    unit = np.broadcast_to(
-        np.eye(contact.shape[-1])[first:], (*slope.shape[:-2], count, first + count)
-    )
+    unit = np.eye(contact.shape[-1])[first:]
+    unit = np.broadcast_to(unit, (*slope.shape[:-2], *unit.shape))
     precision = np.diagonal(observer.prior_information(contact), axis1=-2, axis2=-1)[..., first:]
     both = np.zeros((*contact.shape[:-1], size + count, size + count))
     both[..., :size, :size] = covariance
@@ -238,15 +246,12 @@ def _with_priors(
 
 
 def _contact_scale(contact: Array) -> Array:
-    """The contact itself, as the unit in which its matrices are of order one."""
+    """Units of the contact in which its matrices are of order one."""
     return np.maximum(np.abs(contact), 1e-12)
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverses (..., n, n); infinite throughout where singular to rounding.
-
-    That is where the determinant, of a matrix with columns of length one, is below 1e-9.
-    """
+    """Inverses (..., n, n); all infinite where the rescaled determinant is 1e-9 or less."""
     rows = _length(matrix, -1)
     columns = _length(matrix / rows, -2)
     scaled = matrix / rows / columns
@@ -257,6 +262,6 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _length(matrix: Array, axis: int) -> Array:
-    """Lengths of rows (−1) or columns (−2); 1 where they are empty."""
+    """Lengths of rows (axis −1) or columns (−2); 1 where they are zero."""
     length = np.sqrt(np.square(matrix).sum(axis=axis, keepdims=True))
     return np.where(length > 0, length, 1.0)
