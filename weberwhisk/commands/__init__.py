@@ -1,14 +1,14 @@
 """The commands by subject; `weberwhisk.cli` puts them together.
 
-Conventions that every command keeps, beside those of `weberwhisk.cli`:
+Conventions of every command, besides those of `weberwhisk.cli`:
 
-- Lengths are in millimetres, radii in micrometres, angles in degrees, forces in micronewtons, and
-  every option's and column's name says so. Lists are comma-separated, or the option is repeated.
+- Lengths are in millimetres, radii in micrometres, angles in degrees, forces in micronewtons, as
+  the names of options and columns say. Lists are comma-separated, or the option is repeated.
 - ``--out`` names the folder for tables, figures and the record (see `_util.output`),
-  ``--json`` prints the result alone on standard output, ``--seed`` makes a draw repeatable.
+  ``--json`` prints only the result on standard output, ``--seed`` makes draws repeatable.
 
-Here is what they share: their options, the whisker and the cue that these describe, and what is
-printed in the end. The package's rooms are imported when they are used, so that help is quick.
+This module holds what commands share: options, the whisker and cue that they describe, and the
+printing of results. The package's rooms are imported when they are used, so that help is quick.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = [
 def progress(
     description: str, total: float, *, as_json: bool, every: float = 15.0
 ) -> Iterator[Callable[..., None]]:
-    """Progress on standard error, as `output.shown` tells it; none where JSON is printed."""
+    """Progress on standard error by `output.shown`; none where JSON is printed."""
     if as_json:
         yield lambda done=1.0: None
         return
@@ -54,7 +54,7 @@ def progress(
 
 
 def raised_by_weberwhisk(error: BaseException) -> bool:
-    """Whether it is a refusal of ours; a ValueError from elsewhere is a bug and must look it."""
+    """Whether this package raised the error; a ValueError from elsewhere is a bug."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -78,7 +78,7 @@ def a_seed(text: str | int) -> int:
 
 
 def numbers(option: str, values: Sequence[str]) -> Array:
-    """The numbers of a list option, whether comma-separated or repeated.
+    """The numbers of a list option, comma-separated or repeated.
 
     Examples
     --------
@@ -100,7 +100,7 @@ Number = float | None
 
 
 class Shape(NamedTuple):
-    """Which whisker, as the options of every command say it; None where one is not given."""
+    """The options that describe a whisker; None for those not given."""
 
     identity: str | None = None
     length_mm: float | None = None
@@ -111,7 +111,7 @@ class Shape(NamedTuple):
 
     @property
     def given(self) -> bool:
-        """Whether any of it was."""
+        """Whether any option was given."""
         return any(value is not None for value in self)
 
 
@@ -123,9 +123,7 @@ def _of(group: str, **options: Any) -> dict[str, Any]:
 
 
 _SHAPE: dict[str, Any] = {
-    "identity": Annotated[
-        str | None, "A rat's whisker by row and column, such as C2.", _of("Whisker")
-    ],
+    "identity": Annotated[str | None, "A rat's whisker, such as C2.", _of("Whisker")],
     "length_mm": Annotated[Number, "Arc length from base to tip.", _of("Whisker")],
     "base_radius_um": Annotated[Number, "Radius at the base.", _of("Whisker")],
     "tip_radius_um": Annotated[Number, "Radius at the tip, 0 for a perfect cone.", _of("Whisker")],
@@ -137,7 +135,7 @@ _SHAPE: dict[str, Any] = {
         _of("Whisker", metavar="NUMBER"),
     ],
 }
-#: What a parameter of this name is in every command, unless that says otherwise.
+#: Parameters of these names in every command that does not annotate them otherwise.
 _SHARED: dict[str, Any] = {
     "cue": Annotated[
         str | None,
@@ -162,19 +160,15 @@ _SHARED: dict[str, Any] = {
     "scheduler": Annotated[
         str | None, "A dask.distributed scheduler, tcp://… (extra: cluster).", _of("Workers")
     ],
-    "seed": Annotated[
-        int, "Makes the draws repeatable.", _of("Results", parser=a_seed, metavar="NUMBER")
-    ],
+    "seed": Annotated[int, "Seed of the draws.", _of("Results", parser=a_seed, metavar="NUMBER")],
     "out": Annotated[
         Path | None, "Folder for the tables, figures and record.", _of("Results", metavar="FOLDER")
     ],
-    "as_json": Annotated[
-        bool, "Print the result alone on standard output, as JSON.", _of("Results")
-    ],
+    "as_json": Annotated[bool, "Print only the result, as JSON.", _of("Results")],
 }
-#: What the library says, and what that is called in options.
+#: Parameters of the library whose options have other names.
 _CALLED = {"as_json": "json", "columns": "column", "units": "unit"}
-#: Remedies of the library, and how they are written here.
+#: Remedies in the library's messages (patterns), and the options that replace them.
 _REMEDIES = (
     (r"columns=\{'(\w+)': '([^']+)'\}", r"--column \1='\2'"),
     (r'columns=\{"(\w+)": "([^"]+)"\}', r"--column \1='\2'"),
@@ -207,17 +201,17 @@ _REMEDIES = (
     (r"\b(bias|noise|states)=", r"--\1 "),
     (r"trials\.select\(session=(\w+)\)", r"--session \1"),
 )  # fmt: skip
-#: Parameters of the library that notes and reports name, and options of the same name.
+#: Parameters named in the library's notes and reports that are options of the same name.
 _NAMES = ("bias", "face", "frame_rate", "log_unit", "pixels_per_mm", "scale", "shortest_px")
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
-    """A command of plain parameters: their names, types and words say what options they are.
+    """A Typer command made from a function with plain parameters.
 
-    A parameter is annotated by its type and its line of help, and by what else Typer is to know:
-    ``Annotated[float, "Sd of ln k.", {"metavar": "SD"}]``; with its type alone it is the shared one
-    of that name. Without a default, or with ``{"argument": True}``, it is an argument. The
-    parameter `shape` stands for the options of a whisker.
+    A parameter is annotated with its type, its line of help and further options of Typer:
+    ``Annotated[float, "Sd of ln k.", {"metavar": "SD"}]``. With only a type it is the shared
+    parameter of its name. Without a default, or with ``{"argument": True}``, it is an argument.
+    The parameter `shape` stands for all options of a whisker.
     """
     given = dict(inspect.signature(function, eval_str=True).parameters)
     shaped = given.pop("shape", None) is not None
@@ -266,29 +260,29 @@ def _with_typer(
 
 
 def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
-    """A command's options for its record, the whisker's one by one, and not where it goes."""
+    """A command's options for its record, with the whisker's, without those of the output."""
     own = {"out", "as_json", "seed", "workers", "scheduler", *without}
     kept = {name: value for name, value in options.items() if name not in own}
     return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
 
 
 def enough_draws(draws: int) -> None:
-    """Refuse fewer readings than an sd needs, by the option's name."""
+    """Refuse fewer readings than an sd needs."""
     if draws < 2:
         raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
 
 
-#: Cues of forces, whose noise is one Weber fraction: what choices can tell of.
+#: Cues of forces with Weber noise, the only ones for choices.
 CUES = ("compliance", "force-map", "three-forces", "moment")
 
 
 def _array(whisker: ww.Whisker) -> ww.cues.ComparativeLength:
-    """A whisker between a longer and a shorter neighbour, as along a row."""
+    """Comparative length, with a longer and a shorter neighbour as in a row of whiskers."""
     lengths = np.array([1.25, 0.8]) * whisker.length
     return ww.cues.ComparativeLength(lengths, [[-2e-3, 0.0], [2e-3, 0.0]])
 
 
-#: Cues whose signals are not forces, in a scene that their defaults describe.
+#: Other cues, with the defaults of their parameters.
 SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
     "vibrissa-length": lambda whisker: ww.cues.VibrissaLength(),
     "comparative-length": _array,
@@ -307,7 +301,7 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
 def the_scene(
     cue: str | None, angles_deg: Texts, weber_fraction: Texts, whisker: ww.Whisker
 ) -> tuple[ww.Observer, Array]:
-    """The observer of any cue, and the deflection angles (rad) at which it is used."""
+    """The observer of any cue, and the deflection angles (rad) of its contacts."""
     if cue not in SCENES:
         name = None if cue is None else checks.one_of("cue", cue, (*CUES, *SCENES))
         made, angles = the_cue(name, angles_deg)
@@ -327,7 +321,7 @@ def the_scene(
 
 
 def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
-    """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
+    """The cue, and the deflection angles (rad) of contacts; none where the cue fixes them."""
     name = checks.one_of("cue", cue or CUES[0], CUES)
     angles = numbers("--deflection-angle-deg", angles_deg or [])
     if name == "compliance":
@@ -343,20 +337,20 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
 
 
 def one_angle(angles: Array, why: str = "Choices are made at one deflection angle") -> float | None:
-    """The one deflection angle that there may be; None where the cue knows it."""
+    """The only deflection angle; None where the cue fixes it."""
     if angles.size > 1:
         raise ValueError(f"{why}, got {angles.size} values of --deflection-angle-deg; give one.")
     return float(angles[0]) if angles.size else None
 
 
 def _angles(texts: Texts) -> Array:
-    """Deflection angles in rad, ten degrees where none is given."""
+    """Deflection angles in rad, by default 10°."""
     given = numbers("--deflection-angle-deg", texts or ["10"])
     return np.radians(checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
 
 
 def weber_fractions(texts: Texts, signals: int | None = None) -> Array | float:
-    """Those of ``--weber-fraction``: one for all signals or one each."""
+    """The value of ``--weber-fraction``: one for all signals, or one each."""
     fractions = numbers("--weber-fraction", texts or ["0.1"])
     checks.positive("--weber-fraction", fractions, "write 0.1, say")
     if signals is not None and fractions.size not in (1, signals):
@@ -368,7 +362,7 @@ def weber_fractions(texts: Texts, signals: int | None = None) -> Array | float:
 
 
 def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
-    """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
+    """The whisker of the shared options; with `seed`, a draw from the spread of its identity."""
     identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, bow = shape
     modulus: dict[str, Any] = {}
     curved: dict[str, Any] = {}
@@ -414,16 +408,16 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
 def describe(whisker: ww.Whisker) -> dict[str, float]:
     """A whisker in the units of the command line."""
     values = {
-        "length_mm": whisker.length * 1e3,
-        "base_radius_um": whisker.base_radius * 1e6,
+        "length_mm": whisker.length * 1e3, "base_radius_um": whisker.base_radius * 1e6,
         "tip_radius_um": whisker.tip_radius * 1e6,
         "youngs_modulus_gpa": whisker.youngs_modulus / 1e9,
-    } | ({"curvature_per_m": whisker.curvature} if whisker.curvature else {})
+    }  # fmt: skip
+    values |= {"curvature_per_m": whisker.curvature} if whisker.curvature else {}
     return {name: float(f"{value:.12g}") for name, value in values.items()}
 
 
 def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
-    """Print a result, as JSON alone, or in words and where the files are."""
+    """Print a result: either as JSON, or in words with the names of the files."""
     if as_json:
         print(to_json(answer))
         return
@@ -436,23 +430,23 @@ def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
 def show(
     table: pd.DataFrame, run: Run, whisker: ww.Whisker, as_json: bool, notes: Iterable[str]
 ) -> None:
-    """Print a whisker, a table and what is to be said of it."""
+    """Print a whisker, a table and notes."""
     answer = {"whisker": describe(whisker), "rows": table.to_dict("records")}
     words = table.to_string(index=False, float_format="{:.6g}".format, na_rep="-")
     finish(run, as_json, answer, whisker_line(whisker), words, *notes)
 
 
 def with_options(sentence: str, names: Iterable[str] = _NAMES) -> str:
-    """A sentence of the library, its parameters and remedies as they are typed here."""
+    """A sentence of the library with its parameters and remedies replaced by options."""
     for python, typed in _REMEDIES:
         sentence = re.sub(python, typed, sentence)
-    # Not a column's key, nor an argument within a call such as lognorm(1, scale=0.1).
+    # Not a key of --column, nor an argument in a call such as lognorm(1, scale=0.1).
     named = rf"""(?<!, )(?<!\()(?<!--column )\b({"|".join(names)})=("[^"]*"|'[^']*'|[\w.-]+)"""
     return re.sub(named, _as_option, sentence)
 
 
 def _as_option(found: re.Match[str]) -> str:
-    """A parameter as its option, with its value where there is one; one word needs no quotes."""
+    """A parameter as its option, with its value, if any; a single word needs no quotes."""
     name, *values = found.groups()
     return " ".join([option(name), *(v if " " in v else v.strip("\"'") for v in values)])
 
@@ -467,7 +461,7 @@ def whisker_line(whisker: ww.Whisker) -> str:
 
 
 def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
-    """The entries that an option was given, each `left=right`, as a mapping."""
+    """The values of an option, each `left=right`, as a mapping."""
     found = {}
     for text in texts or ():
         left, sign, right = text.partition("=")
@@ -478,5 +472,5 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
 
 
 def option(parameter: str) -> str:
-    """The option that a parameter is written as."""
+    """The option of a parameter."""
     return f"--{_CALLED.get(parameter, parameter).replace('_', '-')}"

@@ -1,4 +1,4 @@
-"""`weberwhisk simulate`, `fit` and `next`: choices, what they tell, and the next trial."""
+"""`weberwhisk simulate`, `fit` and `next`: simulated choices, fits, and the next trial."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["distance_encoding", "fit", "next_trials", "simulate"]
 def distance_encoding(
     shape: opt.Shape, cue: str | None, angles_deg: opt.Texts
 ) -> tuple[CueEncoding | None, ww.Whisker | None]:
-    """The encoding and the whisker that the options describe; None where they name no whisker."""
+    """The encoding and the whisker of the options; None for both without a whisker."""
     if not shape.given:
         for name, given in (("--cue", cue), ("--deflection-angle-deg", angles_deg)):
             if given:
@@ -45,9 +45,7 @@ def simulate(
     deflection_angle_deg: opt.Texts = None,
     standard: Annotated[opt.Texts, "Magnitudes compared with.  [default: 1]"] = None,
     standard_mm: opt.Texts = None,
-    offset: Annotated[
-        opt.Texts, "Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]"
-    ] = None,
+    offset: Annotated[opt.Texts, "Comparison/standard - 1.  [default: nine, -0.3 to 0.3]"] = None,
     weber_fraction: Annotated[float, "The truth to find."] = 0.1,
     lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
     lapse_high: Annotated[float, "Share lost at the high end."] = 0.0,
@@ -118,13 +116,10 @@ def simulate(
         if effects:
             known |= {"effects": {e.name: value for e, value in effects}}
         known |= {
-            "standards": base,
-            "offsets": SIGNED_OFFSETS if levels is None else levels,
-            "order": order,
-            "task": trials.task.name,
-            "seed": seed,
+            "standards": base, "offsets": SIGNED_OFFSETS if levels is None else levels,
+            "order": order, "task": trials.task.name, "seed": seed,
             "whisker": None if whisker is None else opt.describe(whisker),
-        }
+        }  # fmt: skip
         if run.out_dir is not None:
             atomic_write(run.path("truth.json"), to_json(known) + "\n")
             if animals is None:
@@ -141,10 +136,9 @@ def simulate(
     many = "" if animals is None else f" of {subjects} animals"
     lines.append(
         f"{counted(len(table), 'trial')}{many} of {trials.task.name}, "
-        f"{trials.n_missing} without an answer; "
-        f"{counted(base.size, 'standard')}, "
-        f"Weber fraction {weber_fraction:g}, "
-        f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
+        f"{trials.n_missing} without an answer; {counted(base.size, 'standard')}, "
+        f"Weber fraction {weber_fraction:g}, lapses {lapse_low:g} and {lapse_high:g}, "
+        f"bias {bias:g}, seed {seed}."
     )
     if run.out_dir is None:
         lines.append(csv_text(table).rstrip("\n"))
@@ -173,13 +167,9 @@ def fit(
         opt.Text, "2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on."
     ] = None,
     scale: Annotated[str, "linear, or log where stimuli are logarithms."] = "linear",
-    log_unit: Annotated[
-        opt.Number, "Natural-log units per unit of a log column, where known."
-    ] = None,
+    log_unit: Annotated[opt.Number, "Natural-log units per unit of a log column, if known."] = None,
     subject: Annotated[opt.Text, "The one to fit, where there are several."] = None,
-    session: Annotated[
-        opt.Text, "Sessions to fit, such as 31-40 or 1,2.", {"metavar": "LIST"}
-    ] = None,
+    session: Annotated[opt.Text, "Sessions, such as 31-40 or 1,2.", {"metavar": "LIST"}] = None,
     bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
@@ -306,13 +296,13 @@ def _trials(
 
 
 def _with_millimetres(file: Path) -> dict[str, str]:
-    """The stimulus columns whose names carry their unit, as `simulate` writes them."""
+    """The stimulus columns whose names end in their unit, as `simulate` writes them."""
     from ..behaviour.trials import in_millimetres
     from ..recordings.files import load_table
 
     try:
         return in_millimetres(load_table(file)[0])
-    except ValueError:  # `read_trials` says what is wrong with it
+    except ValueError:  # `read_trials` will raise it again
         return {}
 
 
@@ -371,7 +361,7 @@ def _selected(
 
 
 def _sessions(text: str) -> list[int | str]:
-    """Whole numbers and ranges, or names as they stand.
+    """Whole numbers, ranges of them, or names.
 
     Examples
     --------
@@ -389,7 +379,7 @@ def _sessions(text: str) -> list[int | str]:
 
 
 def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:
-    """Distances in metres would be taken for contacts at the base, and give an answer."""
+    """Refuse distances apparently in metres, and distances beyond the whisker."""
     values = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
     length = encoding.domain[1]
     if values.max() < 0.002 * length:
@@ -418,17 +408,11 @@ def next_trials(
     farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
     step: Annotated[float, "Stimuli come in steps of this size."] = 0.0,
     easy_share: Annotated[float, "Share of easy trials."] = 0.1,
-    width_percent: Annotated[
-        opt.Number, "Stop when the 95 % interval of k is within ± this."
-    ] = None,
+    width_percent: Annotated[opt.Number, "Stop when k's 95 % interval is within ± this."] = None,
     most: Annotated[int | None, "Stop after so many trials."] = None,
-    bias: Annotated[str, "per-standard, shared or none; none where answers are scored."] = (
-        "per-standard"
-    ),
+    bias: Annotated[str, "per-standard, shared or none (if answers are scored)."] = "per-standard",
     task: Annotated[str, "As for simulate."] = "2AFC",
-    log: Annotated[
-        Path | None, "Keeps every trial; goes on where it was.", {"metavar": "FILE"}
-    ] = None,
+    log: Annotated[Path | None, "Keeps all trials, to go on later.", {"metavar": "FILE"}] = None,
     seed: int = 1,
     out: Path | None = None,
 ) -> None:
@@ -478,7 +462,7 @@ def next_trials(
         most=most, seed=seed,
     )  # fmt: skip
     unit = "" if encoding is None else "_mm"
-    # More trials, or fewer, go on with the same file.
+    # Another --most continues the same file.
     question = {name: value for name, value in inputs.items() if name != "most"}
     with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
         for line in converse(session, sys.stdin, unit):

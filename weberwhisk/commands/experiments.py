@@ -1,4 +1,4 @@
-"""`weberwhisk design`, `rehearse` and `analyse`: an experiment planned, simulated and analysed."""
+"""`weberwhisk design`, `rehearse` and `analyse`: plan, simulate and analyse an experiment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["analyse", "design", "rehearse", "rig_trials"]
 
-#: Levels of `plan_experiment`, as numbers of the command line.
+#: Default levels of `plan_experiment`, as an option.
 _LEVELS = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
 
 
@@ -32,31 +32,21 @@ def design(
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
-    task: Annotated[
-        opt.Text, "2AFC, 2IFC, yes/no or go/no-go (at a pole).  [default: 2AFC]"
-    ] = None,
+    task: Annotated[opt.Text, "2AFC, 2IFC, yes/no, go/no-go (at a pole).  [default: 2AFC]"] = None,
     question: Annotated[
         opt.Text,
         "What is to be found: whiskers (tapered or cylinder), weber-law (or constant noise) or "
         "precision (of k).  [a terminal asks; else whiskers]",
     ] = None,
-    bayes_factor: Annotated[
-        opt.Number, "Goal: hypotheses discriminated by so much.  [default: 10]"
-    ] = None,
-    half_width: Annotated[
-        opt.Number, "Goal of a precision: the 95 % interval of k, 0.2 for ±20 %."
-    ] = None,
+    bayes_factor: Annotated[opt.Number, "Goal: a Bayes factor of this.  [default: 10]"] = None,
+    half_width: Annotated[opt.Number, "Goal: 95 % interval of k, 0.2 for ±20 %."] = None,
     share: Annotated[float, "Of experiments that reach the goal."] = 0.8,
     standard_mm: Annotated[
         opt.Texts, "Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]"
     ] = None,
-    level: Annotated[
-        opt.Texts, f"Comparisons, in sds of what the animal can tell.  [default: {_LEVELS}]"
-    ] = None,
+    level: Annotated[opt.Texts, f"Comparisons, in sds of the noise.  [default: {_LEVELS}]"] = None,
     best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
-    trials: Annotated[
-        int | None, "Of each comparison, for each animal.  [default: what reaches the goal]"
-    ] = None,
+    trials: Annotated[int | None, "Of each comparison, per animal.  [default: by the goal]"] = None,
     animals: Annotated[int, "How many."] = 1,
     find: Annotated[
         opt.Text,
@@ -127,7 +117,7 @@ def design(
 
 
 def _asked() -> str | None:
-    """The question, from whoever sits at the terminal; None where nobody does."""
+    """The question, asked at an interactive terminal; None elsewhere."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
     import typer
@@ -157,17 +147,15 @@ def _constraints(nearest_mm: float, farthest_mm: float | None, step_mm: float) -
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
+    scheme, power = plan.scheme, plan.power
     return {
-        "whisker": opt.describe(whisker),
-        "goal": str(plan.goal),
-        "animals": plan.scheme.animals,
-        "trials_per_animal": plan.scheme.n_trials,
-        "total_trials": plan.scheme.total_trials,
+        "whisker": opt.describe(whisker), "goal": str(plan.goal), "animals": scheme.animals,
+        "trials_per_animal": scheme.n_trials, "total_trials": scheme.total_trials,
         "sessions": plan.sessions,
-        "levels": plan.scheme.table().drop(columns="offset_mm").to_dict("records"),
-        "power": None if plan.power is None else plan.power.to_dict("records"),
+        "levels": scheme.table().drop(columns="offset_mm").to_dict("records"),
+        "power": None if power is None else power.to_dict("records"),
         "trials_sha256": plan.fingerprint,
-    }
+    }  # fmt: skip
 
 
 def _summary(plan: Plan) -> str:
@@ -180,8 +168,7 @@ def _summary(plan: Plan) -> str:
         f"{counted(plan.sessions, 'session')}, {scheme.total_trials} in all:",
     ]
     for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
-        offsets = offsets_in_words(row)
-        times = ", ".join(map(str, sorted(set(n))))
+        offsets, times = offsets_in_words(row), ", ".join(map(str, sorted(set(n))))
         lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
     lines += [plan.power_in_words()] * bool(plan.power_in_words())
     lines += ["Assumed:", *(f"  {line}" for line in assumptions(plan))]
@@ -220,13 +207,13 @@ def rehearse(
             atomic_write(run.path("rehearsal.txt"), found.report())
             run.figure("rehearsal", ww.plots.rehearsed(found))
     if stream is not None:
-        stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
+        stream.unlink(missing_ok=True)  # its runs are in rehearsal.csv now
     answer = {"goal": str(plan.goal), "rows": found.table.to_dict("records")}
     opt.finish(run, as_json, answer, found.report().rstrip())
 
 
 def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
-    """Where the runs are kept while they come: a name for each question, to go on with."""
+    """File of finished runs, from which the same question (plan, runs, seed) is resumed."""
     question = f"{ww.design.plan_json(plan)} {runs} {seed}".encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -273,7 +260,7 @@ def analyse(
 
 
 def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
-    """The trials in one rig's tables, in mm; rows without a stimulus are no trials."""
+    """The trials in the tables of one rig, in mm; rows without a stimulus are left out."""
     from ..behaviour.trials import STIMULI
     from ..recordings.files import load_table
 
@@ -285,7 +272,7 @@ def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
 
 
 def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
-    """The trials of one table, their answers as `choice`: 1, 0 or NaN for none."""
+    """The trials of one table, with answers as `choice`: 1, 0, or NaN for none."""
     from ..behaviour.trials import rows_in_words
 
     places = np.arange(1, len(table) + 1)
@@ -294,9 +281,9 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             shown = table[name].notna().to_numpy()
             table, places = table[shown], places[shown]
             break
-    # Other routines, such as instructions, may have keyboards of their own.
-    keys = [str(n) for n in table if str(n).endswith(".keys") and table[n].notna().any()]
-    found = [*keys, *(name for name in ("response",) if name in table)]
+    # Keyboards of other routines, such as instructions, have no values here.
+    found = [str(n) for n in table if str(n).endswith(".keys") and table[n].notna().any()]
+    found += ["response"] if "response" in table else []
     found = ["choice"] if "choice" in table else found
     if len(found) != 1:
         raise ValueError(
@@ -305,11 +292,9 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
         )
     given = table[found[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
-    codes = {"left": 0.0, "right": 1.0}
+    codes = {"left": 0.0, "right": 1.0, "1": 0.0, "2": 1.0}
     if found == ["choice"]:
-        codes |= {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
-    else:
-        codes |= {"1": 0.0, "2": 1.0}
+        codes = {"left": 0.0, "right": 1.0, "0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
     none = "", "nan", "none", "<na>", "null", "na", "n/a"
     unknown = ~given.isin([*codes, *none]).to_numpy()
     if unknown.any():

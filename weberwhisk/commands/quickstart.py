@@ -1,4 +1,4 @@
-"""`weberwhisk quickstart`: the main job end to end, on a real whisker and a real rat."""
+"""`weberwhisk quickstart`: an example from end to end, on a real whisker and a real rat."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def quickstart(
 def curves(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
-    """Figure 4a: emcee's posteriors and the closed forms, tapered and cylindrical."""
+    """Figure 4a: posteriors by emcee and closed forms, for a taper and a cylinder."""
     found, exact = (
         light_taps(whisker, k, method, draws, seed, as_json) for method in ("emcee", "quadrature")
     )
@@ -72,7 +72,7 @@ def curves(
 def light_taps(
     whisker: ww.Whisker, k: float, method: str, draws: int, seed: int, as_json: bool = False
 ) -> dict[str, ww.sensitivity.JNDCurve]:
-    """Figure 4a's posteriors, of a whisker and of a cylinder as long, at ten places."""
+    """Posteriors of figure 4a for a whisker and a cylinder of its length, at ten places."""
     places, found = np.linspace(0.05, 0.95, 10) * whisker.length, {}
     for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
         observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
@@ -84,24 +84,23 @@ def light_taps(
 def _compared(
     table: ww.sensitivity.JNDCurve, exact: ww.sensitivity.JNDCurve, whisker: ww.Whisker, k: float
 ) -> dict[str, Any]:
-    """One whisker's posteriors against the closed form and against quadrature, JND/(kL)."""
+    """One whisker's posteriors compared with the closed form and with quadrature, JND/(kL)."""
     scale = whisker.length * k
     closed, found, error = (
         table[name].to_numpy(float) for name in ("closed_form", "posterior", "posterior_error")
     )
     return {
         "r_over_length": table["radial_distance"].to_numpy(float) / whisker.length,
-        "closed_form": closed / scale,
-        "posterior": found / scale,
+        "closed_form": closed / scale, "posterior": found / scale,
         "posterior_95_percent": 1.96 * error / scale,
         "within_95_percent": int(np.sum(np.abs(found - closed) <= 1.96 * error)),
         "excess": found / closed - 1,
         "emcee_from_quadrature": float(np.max(np.abs(found / exact["posterior"].to_numpy() - 1))),
-    }
+    }  # fmt: skip
 
 
 def jnd_surface(run: Run, whisker: ww.Whisker, k: float) -> dict[str, Any]:
-    """Figure 4b: the JND of the force map with noise in the moment alone."""
+    """Figure 4b: the JND of the force map with noise only in the moment."""
     along = moment_dominated(whisker, k)
     table = ww.sensitivity.linear_surface(along)
     run.table("jnd_surface", table)
@@ -113,17 +112,16 @@ def jnd_surface(run: Run, whisker: ww.Whisker, k: float) -> dict[str, Any]:
         contact = np.array([place * whisker.length, np.radians(angle)])
         return float(ww.sensitivity.weber_propagation(along, contact)) / scale
 
+    limit = ww.flick_past(whisker, 0.5 * whisker.length).deflection_angle
     return {
-        "flick_past_degrees_at_half_length": float(
-            np.degrees(ww.flick_past(whisker, 0.5 * whisker.length).deflection_angle)
-        ),
+        "flick_past_degrees_at_half_length": float(np.degrees(limit)),
         "at_10_degrees": {f"{p:g}": at(p, 10.0) for p in (0.3, 0.5, 0.7)},
         "at_0.7_length": {f"{a:g}": at(0.7, a) for a in (1.0, 10.0, 20.0)},
     }
 
 
 def moment_dominated(whisker: ww.Whisker, k: float) -> ww.Observer:
-    """The force map with noise in the moment, and next to none in the axial force."""
+    """The force map with noise in the moment, and negligible noise in the axial force."""
     return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * 1e-9]))
 
 
@@ -141,13 +139,13 @@ def rat_choices(
     return {"sessions": sessions, "report": with_options(fit.report()), **fit.to_dict()}
 
 
-# -- what is said --------------------------------------------------------------------------------
+# -- the text ------------------------------------------------------------------------------------
 
 
 def explanation(
     identity: str, whisker: ww.Whisker, k: float, draws: int, numbers: dict[str, Any]
 ) -> str:
-    """Everything in plain words; every number comes from `numbers`."""
+    """The results in plain words; every number comes from `numbers`."""
     rat = numbers["rat"]
     parts = [
         f"A mean {identity} whisker of rats (Belli et al. 2017). {whisker_line(whisker)} Receptor "

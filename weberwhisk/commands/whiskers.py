@@ -1,4 +1,4 @@
-"""`weberwhisk bend`, `jnd`, `locate`, `calibrate`: signals of contacts, and the reverse."""
+"""`weberwhisk bend`, `jnd`, `locate`, `calibrate`: signals of contacts, and the inverse."""
 
 from __future__ import annotations
 
@@ -62,21 +62,20 @@ def bend(
     checks.finite(opt.option(names[1]), much, "give a number, such as 20")
     where, much = (grid.ravel() for grid in np.meshgrid(where, much, indexing="ij"))
     of = {  # column: attribute of `Bending`, and its unit in SI
-        "arc_length_mm": ("arc_length", 1e-3),
-        "force_micronewton": ("force", 1e-6),
+        "arc_length_mm": ("arc_length", 1e-3), "force_micronewton": ("force", 1e-6),
         "radial_distance_mm": ("radial_distance", 1e-3),
         "deflection_angle_deg": ("deflection_angle", np.pi / 180),
         "contact_angle_deg": ("contact_angle", np.pi / 180),
         "moment_micronewton_metre": ("moment", 1e-6),
         "axial_force_micronewton": ("axial_force", 1e-6),
         "transverse_force_micronewton": ("transverse_force", 1e-6),
-    }
+    }  # fmt: skip
     units = [of[name][1] for name in names]
     with Run(out, "bend", options, seed) as run:
         call = ww.press if names[0] == "radial_distance_mm" else ww.bend
         bending = call(whisker, where * units[0], much * units[1], model=model)
         columns = {name: getattr(bending, field) / unit for name, (field, unit) in of.items()}
-        # What was asked stays as it was written, also where there is no equilibrium.
+        # The requested values stay as written, also where there is no equilibrium.
         columns |= dict(zip(names, (where, much), strict=True))
         columns["outcome"] = [ww.Outcome(o).name.lower() for o in np.asarray(bending.outcome)]
         columns["model"] = [ww.mechanics.Model(m).name.lower() for m in np.asarray(bending.model)]
@@ -94,7 +93,7 @@ def bend(
 
 
 def _which_model(whisker: ww.Whisker, bending: ww.mechanics.Bending) -> Iterator[str]:
-    """One line for each model that the contacts held would need, with the reason of the first."""
+    """One line per model that the contacts need, with the reason for the first contact."""
     at = bending.held
     if not np.any(at):
         return
@@ -106,7 +105,7 @@ def _which_model(whisker: ww.Whisker, bending: ww.mechanics.Bending) -> Iterator
 
 
 def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: str | None) -> Any:
-    """The signals along each contact asked for, from no load to the most asked for."""
+    """The signals at each requested place, from no load to the largest requested."""
     by_place = given == "radial_distance_mm"
     against = "deflection_angle" if by_place else "force"
     steps = np.linspace(min(load.min(), 0.0), max(load.max(), 0.0), 241)
@@ -126,9 +125,7 @@ def jnd(
     ] = None,
     radial_distance_mm: opt.Texts = None,
     deflection_angle_deg: opt.Texts = None,
-    method: Annotated[
-        opt.Text, "Posteriors by quadrature, emcee or laplace.  [default: quadrature]"
-    ] = None,
+    method: Annotated[opt.Text, "quadrature, emcee or laplace.  [default: quadrature]"] = None,
     criterion: Annotated[str, "What counts as noticeable, such as '75% 2AFC'."] = "d'=1",
     draws: Annotated[int, "Noisy readings at each distance, 2 or more."] = 100,
     seed: int = 1,
@@ -143,19 +140,18 @@ def jnd(
     inputs = opt.as_asked(locals())
     whisker = opt.the_whisker(shape)
     observer, angles = opt.the_scene(cue, deflection_angle_deg, weber_fraction, whisker)
+    places = np.asarray(np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6))
     if radial_distance_mm:
-        asked = numbers("--radial-distance-mm", radial_distance_mm)
-        checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
-    else:
-        asked = np.asarray(np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6))
+        places = numbers("--radial-distance-mm", radial_distance_mm)
+        checks.positive("--radial-distance-mm", places, "give millimetres, such as 20")
     opt.enough_draws(draws)
     with Run(out, "jnd", inputs, seed) as run:
         curve = curve_in_steps(
-            observer, asked * 1e-3, angles, method or "quadrature", criterion, draws, seed, as_json
+            observer, places * 1e-3, angles, method or "quadrature", criterion, draws, seed, as_json
         )
         written = curve.table.reset_index()
-        # What was asked stays as it was written.
-        written["radial_distance_mm"] = np.tile(asked, max(angles.size, 1))
+        # Without the rounding of a conversion to metres and back.
+        written["radial_distance_mm"] = np.tile(places, max(angles.size, 1))
         run.table("jnd", written)
         if run.out_dir is not None:
             run.figure("jnd", ww.plots.jnd_lines(curve))
@@ -175,18 +171,10 @@ def jnd(
 
 
 def curve_in_steps(
-    observer: ww.Observer,
-    distances: Array,
-    angles: Array,
-    method: str,
-    criterion: str,
-    draws: int,
-    seed: int,
-    as_json: bool,
-    description: str = "Posteriors",
-    step: int = 4,
-) -> ww.sensitivity.JNDCurve:
-    """`jnd_curve` of so many distances at a time, with a progress bar; angles are combined."""
+    observer: ww.Observer, distances: Array, angles: Array, method: str, criterion: str, draws: int,
+    seed: int, as_json: bool, description: str = "Posteriors", step: int = 4,
+) -> ww.sensitivity.JNDCurve:  # fmt: skip
+    """`jnd_curve` for all distances at each angle, `step` at a time, with a progress bar."""
     pairs: list[tuple[float | None, Array]] = [
         (angle, distances[i : i + step])
         for angle in (angles.tolist() or [None])
@@ -196,10 +184,9 @@ def curve_in_steps(
     parts = []
     with progress(description, len(pairs), as_json=as_json) as advance:
         for (angle, r), own in zip(pairs, seeds, strict=True):
-            curve = ww.jnd_curve(
+            parts.append(ww.jnd_curve(
                 observer, r, angle, method=method, criterion=criterion, n_readings=draws, seed=own
-            )
-            parts.append(curve)
+            ))  # fmt: skip
             advance()
     return ww.sensitivity.JNDCurve.joined(parts)
 
@@ -217,12 +204,8 @@ def locate(
     unit: opt.Texts = None,
     touch: Annotated[opt.Text, "Column that numbers touches.", {"metavar": "COLUMN"}] = None,
     time: Annotated[opt.Text, "Column that figures go by.", {"metavar": "COLUMN"}] = None,
-    weber_fraction: Annotated[
-        opt.Texts, "Noise of the numbers.  [default: their sds, or 0.1]"
-    ] = None,
-    taps: Annotated[
-        Path | None, "Table of taps at known distances, to calibrate by.", _SENSOR
-    ] = None,
+    weber_fraction: Annotated[opt.Texts, "Noise.  [default: sds of the table, or learnt]"] = None,
+    taps: Annotated[Path | None, "Taps at known distances, to calibrate by.", _SENSOR] = None,
     counts: Annotated[bool, "Slopes are counts a second.", _SENSOR] = False,
     clamped: Annotated[bool, "The base does not give way.", _SENSOR] = False,
     pixels_per_mm: Annotated[opt.Number, "Its scale.", _VIDEO] = None,
@@ -245,7 +228,7 @@ def locate(
     options = opt.as_asked(locals())
     table_or_path: Any = contacts
     whisker = opt.the_whisker(shape)
-    heard: tuple[str, ...] = ()
+    notes: list[str] = []
     noise = None if weber_fraction is None else opt.weber_fractions(weber_fraction)
     with Run(out, "locate", options) as run, progress("Rows", 1.0, as_json=as_json) as advance:
         shown = [0.0]
@@ -262,9 +245,8 @@ def locate(
                 frame_rate=frame_rate,
             )  # fmt: skip
             pole = numbers("--pole-px", pole_px) if pole_px else None
-            signals = ww.tracked_signals(video, whisker, identity=label, pole=pole)
-            heard = (*video.attrs["notes"], *signals.attrs["notes"])
-            table_or_path = signals
+            table_or_path = ww.tracked_signals(video, whisker, identity=label, pole=pole)
+            notes += [*video.attrs["notes"], *table_or_path.attrs["notes"]]
         mapped = opt.pairs("--column", column, "moment=M_uNm")
         units = opt.pairs("--unit", unit, "moment=mN m")
         by: Any = whisker
@@ -272,7 +254,7 @@ def locate(
             by = ww.calibrate(
                 taps, whisker, columns=mapped, units=units, counts=counts, hinge=not clamped
             )
-            heard = (*heard, by.message)
+            notes.append(by.message)
         elif counts or clamped:
             raise ValueError(
                 "--counts and --clamped say how taps are read, got no --taps; write "
@@ -297,7 +279,8 @@ def locate(
                 run.figure("touches", ww.plots.located(table, against=touch, by=touch))
     if taps is not None:
         whisker = by.whisker
-    notes, few = (*heard, *table.attrs["notes"]), table.head(20).drop(columns="message")
+    notes += table.attrs["notes"]
+    few = table.head(20).drop(columns="message")
     more = [f"… and {counted(len(table) - len(few), 'more row')}."] * (len(few) < len(table))
     messages = table["message"].value_counts().items()
     answer = {"notes": notes, "rows": table.to_dict("records")}
