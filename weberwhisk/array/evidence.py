@@ -1,4 +1,4 @@
-"""What one whisker of an array, and what all of them, tell of the place of a vertical pole."""
+"""Likelihoods of the place of a vertical pole, from one whisker of an array and from all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Evidence", "JointEvidence", "Sensor", "metres", "one_place"]
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """One whisker with its observer; its azimuth is known with the sd `angle_sd`, rad."""
+    """One whisker with its observer; the error of its azimuth has the sd `angle_sd`, rad."""
 
     follicle: Follicle
     observer: Observer
@@ -111,7 +111,7 @@ class Sensor:
         )
 
     def evidence(self, reading: Array) -> Evidence:
-        """What a reading says of places."""
+        """The likelihood of places given a reading."""
         if self.taps:
             return Tap(self, reading)
         return Evidence(self, reading) if self.angle_sd == 0 else Blurred(self, reading)
@@ -137,12 +137,10 @@ class Sensor:
             both = np.zeros((len(contact), 2, 2))
             both[:, 0, 0], both[:, 1, 1] = inner[:, 0, 0], self.angle_sd**-2
             inner = both
-        else:  # the error of the azimuth is one more unknown, known as well as it is
+        else:  # the error of the azimuth is a nuisance parameter with the prior sd `angle_sd`
             row = inner[:, :, 1]
-            inner = inner - (
-                row[:, :, None] * row[:, None]
-                / (inner[:, 1, 1] + max(self.angle_sd, 1e-12) ** -2.0)[:, None, None]
-            )  # fmt: skip
+            total = inner[:, 1, 1] + max(self.angle_sd, 1e-12) ** -2.0
+            inner = inner - row[:, :, None] * row[:, None] / total[:, None, None]
         out[touches] = np.swapaxes(slope, -1, -2) @ inner @ slope
         return out
 
@@ -154,7 +152,7 @@ class Sensor:
 
 @dataclass(eq=False)
 class Evidence:
-    """What one reading of one whisker says of the place of a pole, its azimuth being known."""
+    """Likelihood of a pole's place from one reading of one whisker of exactly known azimuth."""
 
     sensor: Sensor
     reading: Array
@@ -178,7 +176,7 @@ class Evidence:
         return out
 
     def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
-        """The deflection that most likely is behind the reading, and how many sds that is off."""
+        """The most likely true deflection, and how many sds of the azimuth it is from `theta`."""
         return theta, 0.0
 
     def is_improbable(self, place: Array) -> bool:
@@ -194,7 +192,7 @@ class Evidence:
         return bool(not held or off > 5.0 or is_outside(observer.noise, signs[None], signals)[0])
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
-        """Places (n, 2) that this whisker's own posterior holds probable."""
+        """Draws (n, 2) of the place from the posterior of this whisker alone."""
         sensor, observer = self.sensor, self.sensor.observer
         contact = self._contacts(rng, count)
         contact = contact[np.isfinite(contact).all(axis=1)]
@@ -209,7 +207,7 @@ class Evidence:
         return sensor.follicle.place(r, theta + observer.forward.rest(r))
 
     def _contacts(self, rng: np.random.Generator, count: int) -> Array:
-        """Contacts (n, U) drawn from this whisker's own posterior."""
+        """Contacts (n, U) drawn from the posterior of this whisker alone."""
         observer = self.sensor.observer
         signals = self.reading[: len(self.reading) - self.sensor.taps]
         drawn = posterior(observer, signals).draws_of(count // 4, rng)[0]
@@ -236,8 +234,8 @@ class Tap(Evidence):
 class Blurred(Evidence):
     """Distance and deflection by the cue, the azimuth known with an error.
 
-    ∫ p(reading | r, φ) N(φ; θ, sd²) dφ is worked out once on a table: at distances in steps of a
-    part of the posterior's sd, over φ where the reading is likely, for θ in units of its spread.
+    ∫ p(reading | r, φ) N(φ; θ, sd²) dφ is tabulated once: at distances closer than the posterior's
+    sd, over φ where the reading is likely, for θ in units of its sd.
     """
 
     #: ln below the best at which nothing is left.
@@ -327,7 +325,7 @@ class Blurred(Evidence):
 
 @dataclass(frozen=True, eq=False)
 class JointEvidence:
-    """What readings of some whiskers, and no touch of others, say of a place together.
+    """Joint likelihood of a place from readings of whiskers and from absent touches of others.
 
     With `pole_length`, of a short pole whose middle is at a height between `heights`.
     """
@@ -341,7 +339,7 @@ class JointEvidence:
     def __call__(self, place: Array) -> Array:
         """ln p(readings | pole at (n, 2)), (n,); −∞ where one of them cannot be."""
         out = np.full(len(place), len(self.touched) * np.log1p(-self.missed))
-        for evidence in self.touched:  # where these cannot be, nothing else need be asked
+        for evidence in self.touched:  # impossible places are not evaluated further
             live = np.flatnonzero(out > -np.inf)
             out[live] += evidence(place[live])
         if self.pole_length is not None:
@@ -393,7 +391,7 @@ def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array
 
 
 def metres(name: str, value: ArrayLike) -> Array:
-    """Coordinates in m of what a head's whiskers might touch: a metre and more is millimetres."""
+    """Finite head coordinates, m; refuses a metre or more, which are likely millimetres."""
     at = finite(name, value, "give metres")
     if np.any(np.abs(at) >= 1.0):
         far = at.flat[np.argmax(np.abs(at))]

@@ -28,7 +28,7 @@ TURNS = {
 
 
 class Published(NamedTuple):
-    """What the published equations say of one follicle; mm, and degrees.
+    """The published equations' values for one follicle, in mm and degrees.
 
     Base point (`theta`, `phi`, `radius`: spherical), arc length, the coefficient a (1/mm) of
     z = a x², and the angles of emergence.
@@ -48,8 +48,8 @@ def published(identity: str, species: str = "rat") -> Published:
     """The published equations of the array, by identity.
 
     Rat: Belli, Bresee, Graff & Hartmann (2018, PLoS ONE 13:e0194981). Mouse: Bresee, Belli, Luo &
-    Hartmann (2023, J Exp Biol 226:jeb245597). They count columns from 1, the Greek arc, where this
-    package counts it as 0.
+    Hartmann (2023, J Exp Biol 226:jeb245597). They count the Greek arc as column 1, this package as
+    column 0.
 
     Parameters
     ----------
@@ -60,15 +60,15 @@ def published(identity: str, species: str = "rat") -> Published:
     Raises
     ------
     ValueError
-        For a species or an identity that there is not.
+        For an unknown species or identity.
 
     Notes
     -----
-    Beside the 225 and 323 whiskers of Luo & Hartmann (2022): arc lengths are right in the median
-    (−1 % and −7 %) and scatter by 20 and 18 %, row A of the rat being shorter than they say and
-    row D longer. The coefficients are *twice* what the measured shapes have (medians of the ratio
-    0.47 and 0.54), as though they were 2a, the curvature at the base. So `WhiskerArray` takes
-    lengths and curvature from the measured tables, and from here base points and angles alone.
+    Against the 225 and 323 whiskers of Luo & Hartmann (2022): arc lengths are right in the median
+    (−1 % and −7 %) and scatter by 20 and 18 %; the rat's row A is shorter than published and row D
+    longer. The coefficients are *twice* those of the measured shapes (medians of the ratio 0.47 and
+    0.54), as though they were 2a, the curvature at the base. So `WhiskerArray` takes lengths and
+    curvature from the measured tables, and only base points and angles from here.
     Azimuths at rest of the rat's row C are 2 to 16° less than those of Hobbs et al. (2016), and
     elevations of rows C to E are 13 to 23° more than theirs. Single mouse whiskers scatter about
     base points by 9° and 7°, about azimuths by 22° and elevations by 13°.
@@ -108,7 +108,7 @@ def published(identity: str, species: str = "rat") -> Published:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Follicle(Value):
-    """One whisker where it stands.
+    """One whisker with its base point and direction.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Follicle(Value):
     azimuth, elevation, roll : float
         Of the base tangent, and of the plane of curvature about it, rad.
     swept : float
-        How far it has come from rest, rad of azimuth.
+        Azimuth from rest, rad.
     """
 
     identity: str
@@ -189,7 +189,7 @@ class Follicle(Value):
 
     @property
     def swept_in_plane(self) -> float:
-        """How far it has come from rest in the plane of whisking, rad."""
+        """Angle from rest in the plane of whisking, rad."""
         return float(np.arctan2(np.sin(self.swept) * np.cos(self.elevation), np.cos(self.swept)))
 
 
@@ -214,14 +214,15 @@ class WhiskerArray(Shown, Value):
     Raises
     ------
     ValueError
-        For a species, a side or an identity that there is not.
+        For an unknown species, side or identity.
 
     Notes
     -----
     Base points and angles are those of `published`, mirrored for the other side. A rat's whisker is
-    `Whisker.from_identity`'s. Of mice lengths are measured (Luo & Hartmann 2022), and thickness,
-    which is not published, is the rat's in proportion to length with a radius ratio of 31.5: forces
-    of mice are rough, what Weber's law makes of them is not, as it depends on shape alone.
+    that of `Whisker.from_identity`. Mouse lengths are measured (Luo & Hartmann 2022). Mouse
+    thickness is not published: it is the rat's in proportion to length, with a radius ratio of
+    31.5. Forces of mice are therefore approximate; results under Weber's law, which depend on the
+    shape alone, are not affected.
 
     The sources do not say which way a whisker bows at a roll of 0: it is taken to bow in the plane
     of whisking, the tip rostrally, and at 90° ventrally, so that protraction meets objects on the
@@ -254,17 +255,14 @@ class WhiskerArray(Shown, Value):
         protraction: float = 0.0,
     ) -> None:
         known = known_identities(one_of("species", species, SPECIES))
-        intact = known
-        if identities is not None:
-            intact = one_or_more("identities", identities, known)
+        intact = known if identities is None else one_or_more("identities", identities, known)
+        turned = angle("protraction", protraction, _RADIANS)
         self._set(
             species=species,
             sides=one_of("sides", sides, ("both", "left", "right")),
             curved=bool(curved),
             identities=tuple(intact),
-            protraction=number(
-                "protraction", angle("protraction", protraction, _RADIANS), _RADIANS
-            ),
+            protraction=number("protraction", turned, _RADIANS),
         )
 
     @cached_property
@@ -297,8 +295,7 @@ class WhiskerArray(Shown, Value):
         columns = "whisker side x_mm y_mm z_mm length_mm azimuth_deg elevation_deg roll_deg"
         return pd.DataFrame(rows, columns=columns.split())
 
-    def _table(self) -> pd.DataFrame:
-        return self.table()
+    _table = table
 
     def _line(self) -> str:
         where = "either side" if self.sides == "both" else f"the {self.sides}"

@@ -1,9 +1,9 @@
 """An ideal observer of the place of a pole, through all whiskers of an array.
 
-Each whisker that touches says by its cue how far away the object is and by how much it is deflected
-(`inference.observer`), which is a place of the head's own coordinates; each that does not excludes
-the places at which it would touch. Given the place, receptors of different whiskers are
-independent: likelihoods multiply. `place.place` has the posteriors.
+The cue of each whisker that touches informs of radial distance and deflection
+(`inference.observer`), that is of a place in head coordinates. Each whisker that does not touch
+excludes the places at which it would. Given the place, receptors of different whiskers are
+independent: likelihoods multiply. `place.place` returns the posteriors.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ class ArrayObserver(Fields):
     array : WhiskerArray
         Where the whiskers are now; they have swept there from rest, `WhiskerArray.protract`.
     cue : Cue, or mapping of whisker to Cue
-        One that knows the distance and the deflection, `ForceMap`, or the distance alone: such a
-        whisker *taps*, and its reading is the cue's signals and last the azimuth (rad) that it had
-        when it first touched. By default ``ForceMap()``.
+        One whose unknowns are distance and deflection, such as `ForceMap`, or distance alone. With
+        distance alone a whisker *taps*: its reading is the cue's signals and last the azimuth (rad)
+        at first touch. By default ``ForceMap()``.
     noise : ReceptorNoise, or mapping of whisker to ReceptorNoise
         By default the cue's own.
     angle_sd : float
-        Sd of what is known of each whisker's azimuth, rad, one whisker's error being independent of
-        the next one's: by default 1°, the finest that rats tell (Knutsen, Pietr & Ahissar 2006,
-        J Neurosci 26:8451). 0 where it is known, but for taps.
+        Sd of the error of each whisker's azimuth, rad, independent between whiskers: by default
+        1°, the finest difference that rats discriminate (Knutsen, Pietr & Ahissar 2006, J Neurosci
+        26:8451). 0 for azimuths without error, which taps refuse.
     missed : float
         Probability that a touch is not noticed.
     pole_length : float, optional
-        Of a short pole, m, whose height is to be told by which whiskers touch it and which do not:
-        one touches where its plane of whisking meets the pole. By default it is as high as all.
+        Of a short pole, m, whose height is inferred from which whiskers touch it: those whose plane
+        of whisking meets the pole. By default the pole is as high as all whiskers.
     region : ((float, float), (float, float)), optional
-        x and y, m, between which the place is; its prior is flat. By default all places that any
-        whisker can touch lie inside. The height's prior is flat over all heights of these.
+        Ends of x and y, m, of the flat prior of the place. By default all places that any whisker
+        can touch lie inside. The prior of the height is flat over the heights of these places.
 
     Raises
     ------
@@ -67,9 +67,9 @@ class ArrayObserver(Fields):
     -----
     A whisker is bent in its plane of whisking, which holds its base tangent and the horizontal
     across it, and there the pole is a point. Left out: slip along the pole and out of that plane,
-    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction,
-    several contacts of one whisker, and poles that lean. The height of a long pole is told by
-    none; `information` refuses short ones.
+    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction, several
+    contacts of one whisker, and poles that lean. No whisker informs of the height of a long pole;
+    `information` refuses short ones.
 
     Examples
     --------
@@ -91,9 +91,8 @@ class ArrayObserver(Fields):
         checks.kind(
             "array", self.array, "a WhiskerArray", "protract", 'write ww.WhiskerArray("rat"), say'
         )
-        checks.angle(
-            "angle_sd", checks.non_negative_number("angle_sd", self.angle_sd, _RADIANS), _RADIANS
-        )
+        sd = checks.non_negative_number("angle_sd", self.angle_sd, _RADIANS)
+        checks.angle("angle_sd", sd, _RADIANS)
         if not checks.non_negative_number("missed", self.missed, "write 0.02, say") < 1:
             raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
         if self.pole_length is not None:
@@ -221,7 +220,7 @@ class ArrayObserver(Fields):
 
 
 def _own(value: Any, name: str, what: str) -> Any:
-    """The cue or noise of a whisker: its own, or that of all."""
+    """The cue or noise of one whisker, from a mapping or shared by all."""
     if not isinstance(value, Mapping):
         return value
     if name not in value:

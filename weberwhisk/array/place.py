@@ -1,4 +1,4 @@
-"""Where an object is, from all whiskers that touch it and all that do not.
+"""The place of an object, from all whiskers that touch it and all that do not.
 
 The posterior of a place is summed on an adaptive grid: cells cut in four until their sums agree.
 """
@@ -33,8 +33,8 @@ def place(
     ----------
     observer : ArrayObserver
     readings : mapping of whisker to array or None
-        A reading in SI units, or None where the whisker does not touch. Whiskers that are left
-        out tell nothing.
+        A reading in SI units, or None where the whisker does not touch. Whiskers that are left out
+        give no information.
     tolerance : float
         Error of means and sds, in sds, at which the grid is fine enough.
     seed : int, SeedSequence or Generator
@@ -43,7 +43,7 @@ def place(
     Raises
     ------
     ValueError
-        For whiskers that the array has not, and readings that are not finite or of another shape.
+        For whiskers that are not in the array, and readings that are not finite or misshapen.
 
     Examples
     --------
@@ -94,7 +94,7 @@ class Place(Shown):
     observer : ArrayObserver
     readings : mapping of whisker to array or None
     status : Status
-        `NO_CONTACT` where no whisker touches: what is left is the region not excluded.
+        `NO_CONTACT` where no whisker touches: the posterior is the prior less excluded places.
         `IMPROBABLE_READING` where no one place explains all readings within 5 sd.
     mean : array, shape (2,)
         x and y, m.
@@ -103,7 +103,7 @@ class Place(Shown):
     error : float
         Estimated error of means and sds, in sds.
     places, weights, log_density : array, shape (n, 2), (n,), (n,)
-        Nodes, m, the mass that they stand for, and ln of the density, 1/m².
+        Nodes, m, their probabilities, and ln of the density, 1/m².
     """
 
     observer: ArrayObserver
@@ -181,28 +181,23 @@ class Place(Shown):
         slope = np.concatenate([mass / np.maximum(width, 1e-12), -mass / np.maximum(width, 1e-12)])
         order = np.argsort(ends)
         rise = np.cumsum(np.cumsum(slope[order])[:-1] * np.diff(ends[order]))
-        interval = np.interp([0.025, 0.975], np.r_[0.0, rise], ends[order])
-        return mean, sd, interval
+        return mean, sd, np.interp([0.025, 0.975], np.r_[0.0, rise], ends[order])
 
     @property
     def bits(self) -> float:
-        """What the readings told of the place, beside the flat prior over the region, bits."""
+        """Information of the readings about the place, against the flat prior, bits."""
         area = float(np.prod(np.diff(self.observer.box, axis=1)))
         return float(self.weights @ self.log_density + np.log(area)) / np.log(2)
 
     @property
     def note(self) -> str:
-        """What to know of this result beside its numbers; empty if nothing."""
+        """Warnings about this result; empty if none."""
         out = []
         if self.status is Status.NO_CONTACT:
             share = self.area(1.0) / float(np.prod(np.diff(self.observer.box, axis=1)))
             out.append(f"no whisker touches: {100 * share:.0f} % of the region is left")
-        steep = [
-            name
-            for name in self.touching
-            if abs(self.observer.sensors[name].follicle.elevation) > np.radians(30.0)
-        ]
-        if steep:
+        rise = {name: self.observer.sensors[name].follicle.elevation for name in self.touching}
+        if steep := [name for name, angle in rise.items() if abs(angle) > np.radians(30.0)]:
             out.append(
                 f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
                 "which is left out, may matter"
@@ -249,9 +244,9 @@ _WEIGHTS = np.outer(_W, _W).ravel()
 
 
 class Frame(NamedTuple):
-    """Places as middle + matrix @ u, in which the density is about round and of unit width.
+    """Coordinates u, place = middle + matrix @ u, in which the density is about a unit Gaussian.
 
-    The grid starts from u between `low` and `high`, and grows unless these hold the `whole`.
+    The grid starts from u between `low` and `high`, and grows unless these are the `whole` region.
     """
 
     middle: Array
@@ -294,7 +289,7 @@ class _Cells(NamedTuple):
         return np.asarray(self.low[:, None] + self.side[:, None] * _POINTS)
 
     def mass(self, top: float) -> Array:
-        """What each node stands for (n, N), over the density of which ln is `top`."""
+        """Mass at each node (n, N), over the density exp(`top`)."""
         return np.asarray(np.exp(self.log - top) * _WEIGHTS * self.side.prod(axis=1)[:, None])
 
     def of(self, which: Flags) -> _Cells:
@@ -350,14 +345,14 @@ def integrate(
         best = cells.log.max(axis=1)
         slack = best - np.where(np.isfinite(cells.log), cells.log, np.inf).min(axis=1)
         slack = np.nan_to_num(slack, nan=0.0, neginf=0.0)
-        # What lies between nodes may be as far above them as they are apart.
+        # The density between nodes may exceed theirs by as much as theirs differ.
         cut = new & (best + slack > top - depth)
         for at, log in zip(place[seen > top - 14.0], seen[seen > top - 14.0], strict=True):
             holds = np.all((cells.low <= at) & (at < cells.low + cells.side), axis=1)
             cut |= holds & (best < log - 1.0)
         error, size = _errors(cells, top, ~new)
-        # One comparison may agree by chance: errors were 7 times what was claimed where cells with
-        # mass and an edge were let be.
+        # One comparison may agree by chance: without this, errors were 7 times the estimate where
+        # an edge ran through cells with mass.
         cut |= (size > 0.1 * share) & (share > 3e-5)
         order = np.argsort(size)
         over = np.sqrt(np.cumsum(size[order] ** 2)) > tolerance / 4
@@ -393,16 +388,14 @@ def _monomials(cells: _Cells, top: float) -> Array:
 
 
 def _cut(cells: _Cells, cut: Flags, made: Callable[[Array, Array], _Cells], top: float) -> _Cells:
-    """The same with some cells in four."""
+    """The cells with those of `cut` replaced by their quarters."""
     old = cells.of(cut)
     side = np.repeat(old.side / 2, 4, axis=0)
     corner = np.tile([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], (len(old.low), 1))
     quarters = made(np.repeat(old.low, 4, axis=0) + side * corner, side)
     sums = _monomials(quarters, top).reshape(-1, 4, 6).sum(axis=1)
-    apart = (sums - _monomials(old, top)) / 2
-    quarters = quarters._replace(
-        apart=np.repeat(apart, 4, axis=0), top=np.full(len(quarters.log), top)
-    )
+    apart = np.repeat((sums - _monomials(old, top)) / 2, 4, axis=0)
+    quarters = quarters._replace(apart=apart, top=np.full(len(quarters.log), top))
     return _Cells(*(np.concatenate(pair) for pair in zip(cells.of(~cut), quarters, strict=True)))
 
 
