@@ -12,11 +12,9 @@ proportion to the distance from the apex, and a cylinder's are uniform. Tangents
 (cos χ, sin χ): the right side is then a polynomial, and an explicit Runge–Kutta method of order 8
 needs no trigonometry.
 
-With derivatives, the same pass carries those of (χ, X, Y) to contact and force, and the
-determinant D of the map (s_c, F) → contact point at every step. The energy of the whisker that is
-clamped at a running point and slides through a point object is a minimum as long as D has kept
-its sign from the contact to there (Jacobi's condition; a longer whisker has more ways to move, so
-what was lost does not come back): one pass says whether the contact is stable.
+The same pass carries the derivatives of (χ, X, Y) with respect to s_c and F, and at every step the
+determinant D of the map (s_c, F) → contact point. The contact is stable if D keeps its sign from
+the contact to the base (Jacobi's condition for a minimum of the energy): one pass decides it.
 """
 
 from __future__ import annotations
@@ -42,12 +40,12 @@ PLACES = np.asarray(DOP853.C[:STAGES], dtype=float)
 POINTS = [np.asarray(DOP853.A[i, :i], dtype=float) for i in range(STAGES)]
 #: The weights of the step, and of its estimate of error of order h⁶.
 ENDS: Array = np.stack([DOP853.B, DOP853.E5[:STAGES]]).astype(float)
-#: What h⁶ estimates to the power of 3/2 are multiplied with for a bound on the method's own error,
-#: of order h⁹, which then holds in 99 of 100 whiskers and exceeds the error by 7 in the median.
+#: Factor from the h⁶ estimate to the power of 3/2 to a bound on the method's error, of order h⁹.
+#: The bound holds in 99 of 100 whiskers and exceeds the error by a factor of 7 in the median.
 CAUTION = 4.0
 
-#: Rows of the state. The derivatives of χ and of X to contact arc and to force, −sin χ, cos χ and
-#: X: these `FED` are what the right side depends on. −Y and its derivatives: on these it does not.
+#: Rows of the state. The first `FED`, on which the right side depends: derivatives of χ and of X
+#: with respect to contact arc and force, −sin χ, cos χ, X. The rest: −Y and its derivatives.
 FED, ROWS_OF_STATE = 7, 10
 
 
@@ -85,18 +83,15 @@ def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
         return np.ascontiguousarray(np.broadcast_to(scaled, (*lead, *shape))).reshape(*lead, -1)
 
     whisker, knots = profile.whisker, (len(profile.arc),)
-    law: Law | None = profile.law.scaled(np.asarray(whisker.length))
-    assert law is not None
-    if all(np.all(value == 0) for value in vars(law).values()):
-        law = None
-    else:
-        law = type(law)(*(flat(value, 1.0, ()) for value in vars(law).values()))
+    law: Law | None = None
+    scaled = profile.law.scaled(np.asarray(whisker.length))
+    if any(np.any(value != 0) for value in vars(scaled).values()):
+        law = type(scaled)(*(flat(value, 1.0, ()) for value in vars(scaled).values()))
 
     def table(values: Array, scale: ArrayLike) -> Array:
         # Knots lead; what follows broadcasts with the scenes from the right.
-        lead = len(values)
-        extra = len(shape) - (values.ndim - 1)
-        return flat(values.reshape(lead, *(1,) * extra, *values.shape[1:]), scale, knots)
+        extra = len(shape) + 1 - values.ndim
+        return flat(values.reshape(len(values), *(1,) * extra, *values.shape[1:]), scale, knots)
 
     return Rows(
         table(profile.arc, whisker.length),
@@ -140,12 +135,12 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The base as reached from the contact, in the frame of the force.
+    """The base of n whiskers as reached from the contact, in the frame of the force.
 
-    ``angle`` is β = α + ψ, the direction of the force's normal; ``lever, along`` the contact's
-    place X, Y; ``errors`` (2, n) bounds on the error of θ_d, rad, and of r over r; ``scale`` what
-    an error of the angle is compared with; ``d_arc, d_force`` (3, n) the derivatives of (β, X, Y);
-    ``flips`` how often D changed sign; ``steps`` those taken.
+    ``angle`` is β = α + ψ, the direction of the force's normal; ``lever, along`` the contact point
+    X, Y; ``errors`` (2, n) bounds on the error of θ_d, rad, and on the relative error of r;
+    ``scale`` the angle that an error of θ_d is compared with; ``d_arc, d_force`` (3, n) the
+    derivatives of (β, X, Y); ``flips`` how often D changed sign; ``steps`` the steps per piece.
     """
 
     angle: Array
@@ -159,7 +154,7 @@ class Path:
     steps: NDArray[np.int64]
 
     def room(self, n: int) -> Path:
-        """Room for n rows of the kind."""
+        """An uninitialised path of n rows."""
         return Path(**{k: np.empty((*v.shape[:-1], n), v.dtype) for k, v in vars(self).items()})
 
     def put(self, index: Index, other: Path) -> Path:
@@ -170,7 +165,7 @@ class Path:
 
     @property
     def error(self) -> Array:
-        """A bound on the error of θ_d over `scale` and of r over r, together."""
+        """Bound on the error of θ_d over `scale` plus the relative error of r."""
         turned, reached = self.errors
         return np.asarray(turned / self.scale + reached)
 
@@ -192,19 +187,18 @@ class Path:
         )
 
     def jacobian(self) -> tuple[Array, Array, Array, Array]:
-        """r_s, r_F, θ_s, θ_F: derivatives of (r, θ_d) to contact arc and force."""
-        x, y = self.lever, self.along
-        r = self.distance
-        out = []
-        for turn, d_x, d_y in (self.d_arc, self.d_force):
-            out += [(x * d_x + y * d_y) / r, turn + (x * d_y - y * d_x) / r**2]
-        return out[0], out[2], out[1], out[3]
+        """r_s, r_F, θ_s, θ_F: derivatives of (r, θ_d) with respect to contact arc and force."""
+        x, y, r = self.lever, self.along, self.distance
+        turn, d_x, d_y = np.stack([self.d_arc, self.d_force], axis=1)
+        r_s, r_f = (x * d_x + y * d_y) / r
+        t_s, t_f = turn + (x * d_y - y * d_x) / r**2
+        return r_s, r_f, t_s, t_f
 
 
 def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
-    """Follow whiskers from contacts (n,) to the base: arcs over L, forces ≥ 0 over EI₀/L², rad.
+    """Follow whiskers from contacts (n,) to the base, in `steps` Runge–Kutta steps on each piece.
 
-    In `steps` Runge–Kutta steps on each piece.
+    Contact arcs are in units of L, forces (≥ 0) of EI₀/L², friction angles in rad.
     """
     n = arc.size
     state = np.zeros((ROWS_OF_STATE, n))
@@ -212,7 +206,7 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     if rows.law is not None:
         state[0] = -rows.law(arc)
     state[2], state[8] = state[5], -state[4]
-    # Apart, as a product with neighbouring rows of neighbouring stages takes half the time.
+    # Two arrays: a product over contiguous rows takes half the time.
     slopes, rates = np.zeros((STAGES, FED, n)), np.zeros((STAGES, ROWS_OF_STATE - FED, n))
     fed, summed = slopes.reshape(STAGES, -1), rates.reshape(STAGES, -1)
     point = np.empty((FED, n))
@@ -254,8 +248,8 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     d_arc, d_force = state[[0, 2, 8]], state[[1, 3, 9]]
     d_arc[0] *= -1
     d_force[0] *= -1
-    # Relative to the angles, but no closer than a thousandth of what makes them up: they may
-    # pass through zero where the whisker is curved or the force is tilted.
+    # θ_d may pass through zero where the whisker is curved or the force tilted: its error is
+    # compared with no less than a thousandth of the angles that add up to it.
     deflection = np.abs(angle + np.arctan2(along, lever))
     parts = np.abs(angle) + np.abs(friction)
     if rows.law is not None:
@@ -264,8 +258,7 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     # Errors are relative to what bends the whisker; those of θ_d and of r are much the same.
     error *= CAUTION / np.sqrt(np.stack([scale, np.maximum(scale, 1e-2)]))
     errors = np.nan_to_num(error, nan=np.inf)
-    taken = np.full(n, steps)
-    return Path(angle, lever, along, errors, scale, d_arc, d_force, flips, taken)
+    return Path(angle, lever, along, errors, scale, d_arc, d_force, flips, np.full(n, steps))
 
 
 class Piece:
@@ -390,8 +383,7 @@ def resolve(
 def needed(steps: NDArray[np.int64], error: Array, bound: Array) -> NDArray[np.int64]:
     """Steps for an error below `bound`, by the order of the method, from a pass with `steps`."""
     ratio = np.clip(error / bound, 1e-12, 1e12)
-    # Counts in powers of √2; so few rows as cost no more together than one by one in powers of 4,
-    # as every count costs a pass.
+    # Every distinct count costs a pass: powers of √2 for many rows, of 4 for few.
     coarse = 0.5 if steps.size > 400 else 2.0
     exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (1 / 8)) / coarse) * coarse
     return np.clip(np.ceil(np.exp2(exponent)), 1, 256).astype(np.int64)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .._util.values import Array, Codes, Flags, Index
 from .beam import Path, Rows, follow_each, resolve, zero_load
+from .contact import Outcome
 from .elastica import nodes
 
 __all__ = [
@@ -33,11 +34,11 @@ FIRST, LONGEST, SHORTEST = 0.05, 0.25, 1e-5
 
 
 class NotFound(Exception):
-    """A fold that is not found."""
+    """Raised where a fold is not found."""
 
 
 def extended(rows: Rows) -> Rows:
-    """The whiskers, going on beyond their tips to the apex, or to 2.5 lengths."""
+    """The whiskers continued beyond their tips to the apex, or to 2.5 lengths."""
     beyond = 2.5
     gap = rows.arc[-1] - rows.arc[-2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,8 +80,10 @@ class Branches:
     steps: NDArray[np.int64] | None = None
 
     @classmethod
-    def of(cls, rows: Rows, r: Array, friction: Array, last: float = 1.0) -> Branches:
-        """Those of whiskers that go on to the apex, at distances and friction angles (n,)."""
+    def of(
+        cls, rows: Rows, r: Array, friction: Array, last: float = 1.0, tolerance: float = 1e-9
+    ) -> Branches:
+        """Branches of `extended` whiskers at distances and friction angles (n,)."""
         arc, rest = zero_load(rows, r)
         path = resolve(rows, arc, np.zeros_like(r), friction, 1e-6)
         r_s, r_f, t_s, t_f = path.jacobian()
@@ -92,17 +95,17 @@ class Branches:
         narrow = np.clip(width / rows.radius[0], 1e-6, 1.0)
         stiff = narrow / np.where(compliance > 0, compliance, np.nan)
         scale = np.stack([r * narrow, np.nan_to_num(stiff, nan=1.0), narrow])
-        return cls(rows, r, friction, arc, rest, scale, stiff, last)
+        return cls(rows, r, friction, arc, rest, scale, stiff, last, tolerance)
 
     def take(self, index: Index) -> Self:
-        """Some of them."""
+        """The branches at `index`."""
         mine = vars(self).items()
         parts: dict[str, Any] = {k: v[..., index] for k, v in mine if isinstance(v, np.ndarray)}
         return replace(self, rows=self.rows.take(index), **parts)
 
     @property
     def size(self) -> int:
-        """Numbers of a point."""
+        """How many numbers a point has."""
         return len(self.scale)
 
     @property
@@ -120,7 +123,7 @@ class Branches:
         return resolve(self.rows, arc, force, self.friction, self.tolerance)
 
     def linear(self, y: Array) -> tuple[Array, Array]:
-        """How far contacts are off their places, (n, size − 1), and minus its slopes to y."""
+        """Misses of the contact (n, size − 1), and minus their derivatives with respect to y."""
         path, push = self.path(y), y[:, 2] * self.scale[2]
         miss = np.stack([self.r - path.distance, self.rest + push - path.deflection])
         r_s, r_f, t_s, t_f = path.jacobian()
@@ -210,15 +213,21 @@ class Branches:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Where walks ended: the points (n, size), why, and where the moment was largest.
+    """Points (n, size) where walks ended, why (`end`), and where the moment was largest (`peak`).
 
-    What has not `stopped` was given up.
+    Walks that have not `stopped` were given up.
     """
 
     point: Array
     end: Codes
     peak: Array
     stopped: Flags
+
+    @property
+    def outcome(self) -> Codes:
+        """What becomes of the contacts, by the index of `end`."""
+        lost = Outcome.FLICKED_PAST, Outcome.SLIPPED_OFF_TIP, Outcome.STUCK
+        return np.array([Outcome.HELD, *lost], dtype=np.int8)[self.end]
 
 
 #: A quantity that falls through zero on the way along branches, at points and their tangents.
@@ -324,14 +333,14 @@ def root(
 
 
 def moment_slope(branches: Branches, y: Array, along: Array) -> Array:
-    """dM along a branch in its plane, (n,)."""
+    """Derivative of the moment along a branch in the plane, (n,)."""
     path, (arc, force) = branches.path(y), along[:, :2].T * branches.scale[:2]
     d_lever = path.d_arc[1] * arc + path.d_force[1] * force
     return np.asarray(force * path.lever + y[:, 1] * branches.scale[1] * d_lever)
 
 
 def tangents(slopes: Array) -> Array:
-    """Unit vectors (n, k + 1) that slopes (n, k, k + 1) take to nothing."""
+    """Unit null vectors (n, k + 1) of the matrices `slopes` (n, k, k + 1)."""
     size = slopes.shape[2]
     minors = [np.linalg.det(np.delete(slopes, k, axis=2)) * (-1) ** k for k in range(size)]
     out = np.stack(minors, axis=1)

@@ -1,6 +1,6 @@
-"""The equilibrium of a contact given in space: Newton's method, proved stable, else a walk.
+"""Equilibria of the planar beam at a contact point: Newton's method, else a walk along the branch.
 
-The inner half of the planar beam, in units of the whisker's length, base radius and base stiffness.
+In units of the whisker's length, base radius and base stiffness.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
-from .branches import FOLD, NO_MOVE, REACHED, TIP, Branches, extended, walk
+from .branches import FOLD, Branches, extended, walk
 from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
 from .elastica import ChebyshevTable, Curve, the_map, unfold
 from .shape import Profile
@@ -30,7 +30,7 @@ Solved = tuple[Array, Codes, Array]
 
 
 def common_shape(profile: Profile, arguments: Mapping[str, ArrayLike]) -> tuple[int, ...]:
-    """The shape to which whiskers and arguments broadcast; refused where they do not."""
+    """The broadcast shape of whiskers and arguments; raises ValueError if they do not broadcast."""
     law = vars(profile.law).values()
     whiskers = profile.arc[0], profile.radius[0], profile.whisker.stiffness, *law
     try:
@@ -129,20 +129,16 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
 
     hard = np.flatnonzero(~found)
     if hard.size:
-        branch = Branches.of(extended(part.take(hard)), distance[hard], psi_[hard])
-        branch = replace(branch, tolerance=tolerance)
+        whiskers = extended(part.take(hard))
+        branch = Branches.of(whiskers, distance[hard], psi_[hard], tolerance=tolerance)
         ended = walk(branch, angle[hard] - branch.rest)
         values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard], angle[hard])
-        outcome[good[hard]] = np.select(
-            [ended.end == REACHED, ended.end == TIP, ended.end == NO_MOVE],
-            [Outcome.HELD, Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
-            Outcome.FLICKED_PAST,
-        )
-        # Where no sliding contact gets, one without friction may hold: then friction holds it.
+        outcome[good[hard]] = ended.outcome
+        # Where contact without friction would be stable, friction has stopped the sliding.
         folded = good[hard[(ended.end == FOLD) & (psi_[hard] != 0)]]
         if folded.size:
             of = rows.take(folded), r[folded], theta[folded]
-            _, slick, _ = press_rows(*of, 0 * r[folded], tolerance)
+            slick = press_rows(*of, 0 * r[folded], tolerance)[1]
             outcome[folded[slick == Outcome.HELD]] = Outcome.STUCK
     held = outcome[good] == Outcome.HELD
     numbers[:, good] = np.where(held, values, np.nan)
@@ -154,7 +150,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
 def _newton(
     rows: Rows, r: Array, theta: Array, psi: Array, start: Array, push: Array, tolerance: float
 ) -> tuple[Array, Array, Path, Array, Flags]:
-    """Arc, force and pass at (r, θ), what the last step leaves; True where proved stable."""
+    """Arc, force and pass at (r, θ), error left by the last step, and where stability is shown."""
     n = r.size
     compliance, f, s, steps = _guess(rows, r, psi, start, push)
     floor = 1e-6 / compliance
@@ -176,18 +172,18 @@ def _newton(
             df = np.clip(np.nan_to_num(df), -0.5 * most, most)
             ds = np.minimum(ds, 1.0 - s[at])
             now = np.maximum(np.abs(ds) / r[at], np.abs(df) / most)
-            # What the step leaves in the signals, C·size²: C from the step before, but no
-            # less than is usual, which goes up towards the fold as D falls.
+            # Error left in the signals, C·size²: C from the step before, but no less than usual,
+            # which grows towards the fold as D falls.
             usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
             left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
             path = path.moved(ds, df)
-            # Errors of the pass become those of the signals: greater ones towards the fold, and
-            # where a curved whisker is hardly pushed from its rest.
+            # Errors of the pass grow in the signals towards the fold, and where a curved whisker is
+            # hardly pushed from rest.
             idle = np.maximum(path.scale / np.abs(push[at]), 1.0)
             grown = np.clip(np.maximum(np.abs(compliance[at] / d), idle), 1.0, 100.0)
             exact = np.maximum(tolerance / grown, min(tolerance, 1e-12))
             loose = np.maximum(1e-4 / idle, exact)
-            # The next pass need be no better than what its step will leave.
+            # The next pass need be no more precise than its step.
             last = 300 * now**4 < tolerance
             bound = np.where(last, 0.5 * exact, np.clip(1e-2 * now**2, exact, loose))
             steps[at] = needed(path.steps, path.error, bound)
@@ -214,12 +210,12 @@ def _newton(
 def _guess(
     rows: Rows, r: Array, psi: Array, start: Array, push: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """dθ_d/dF at zero load; force, arc and steps a piece to start Newton's method from.
+    """dθ_d/dF at zero load; force, arc and steps a piece from which Newton's method starts.
 
-    Those of the straight taper (the elastica) that gives way as easily, in the same proportion of
-    contact angle to deflection angle, with its fold moved as friction and the rest shape move it.
+    From the elastica of the straight taper with the same compliance and the same ratio of contact
+    to deflection angle, its fold shifted for friction and the shape at rest.
     """
-    # Where a taper has grown thin one step is not enough.
+    # One step is not enough where the taper is thin.
     thin = start * (1 - rows.radius[-1] / rows.radius[0]) > 0.7
     path = follow_each(rows, start, np.zeros_like(r), psi, np.where(thin, 2, 1))
     r_s, r_f, t_s, t_f = path.jacobian()
@@ -244,9 +240,9 @@ def _guess(
 
 
 def _winds(rows: Rows) -> Flags:
-    """So curled that a stable contact may lie on another branch than the first: it is walked.
+    """Whether whiskers are so curled that Newton's method may find another branch than the first.
 
-    By the turn of the whisker at rest, rad: up to about twice a rat's Newton's method is trusted.
+    From 1.5 rad of turn at rest on, about twice that of a rat's whisker.
     """
     if rows.law is None:
         return np.zeros(rows.radius.shape[1], dtype=bool)
@@ -266,18 +262,18 @@ def at_points(
         missed[0] = np.abs(goal - path.deflection)
     path = replace(path, errors=path.errors + missed)
     error = signal_error(path, force, given_contact=True)
-    # At a fold signals go as the square root of what is left of the angle: no worse than that.
+    # At a fold signals vary as the square root of the angle left: a bound on their error.
     error = np.minimum(error, 3 * np.sqrt(path.error))
     numbers = numbers_of(path.angle, path.lever, path.along, arc, force, branches.friction, sign)
     return numbers, error
 
 
 def signal_error(path: Path, force: Array, *, given_contact: bool) -> Array:
-    """The relative error of the signals that an error of the pass makes.
+    """The relative error of the signals from the error of the pass.
 
-    Given contact arc and force, those of the base angle and lever; given the contact in space,
-    also those of arc and force that go with it: without bound towards the fold. An axial or
-    transverse force that passes through zero is compared with a thousandth of the force.
+    With contact arc and force given, from base angle and lever. With the contact point given, also
+    from arc and force: without bound towards the fold. An axial or transverse force near zero is
+    compared with a thousandth of the force.
     """
     r, sine, cosine = path.distance, np.sin(path.angle), np.cos(path.angle)
     with np.errstate(all="ignore"):
@@ -313,7 +309,7 @@ def numbers_of(
 
 
 def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
-    """Derivatives (3, 2, n) of the signals to (r, θ_d), from those to contact arc and force."""
+    """Derivatives (3, 2, n) of the signals with respect to r and θ_d, mirrored by `sign`."""
     sine, cosine = np.sin(path.angle), np.cos(path.angle)
     turn_s, turn_f = path.d_arc[0], path.d_force[0]
     to_arc = force * np.stack([path.d_arc[1], cosine * turn_s, -sine * turn_s])
@@ -323,10 +319,8 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
     r_s, r_f, t_s, t_f = path.jacobian()
     with np.errstate(divide="ignore", invalid="ignore"):
         determinant = r_s * t_f - r_f * t_s
-        slopes = (
-            np.stack([to_arc * t_f - to_force * t_s, to_force * r_s - to_arc * r_f], axis=1)
-            / determinant
-        )
+        to_point = to_arc * t_f - to_force * t_s, to_force * r_s - to_arc * r_f
+        slopes = np.stack(to_point, axis=1) / determinant
     # Moment, transverse force and angle are mirrored, axial force and distance are not.
     slopes[[0, 2], 0] *= sign
     slopes[1, 1] *= sign
@@ -334,14 +328,14 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
 
 
 def on_whisker(rows: Rows, arc: Array) -> Flags:
-    """On the whisker, and not at a tip of no width, which has no stiffness to push back."""
+    """Whether arcs are on the whisker, and not at the tip of a cone, which has no stiffness."""
     return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (rows.radius[-1] <= 0))
 
 
 def in_order(rows: Rows, arc: Array, which: Flags) -> Index:
-    """The indices of `which`; by contact arc if there are several pieces.
+    """The indices of `which`, sorted by contact arc if there are several pieces.
 
-    A block of rows that all touch near the base then skips the pieces beyond.
+    A block of contacts near the base then skips the pieces beyond.
     """
     index = np.flatnonzero(which)
     return index[np.argsort(arc[index])] if len(rows.arc) > 2 else index
@@ -349,8 +343,6 @@ def in_order(rows: Rows, arc: Array, which: Flags) -> Index:
 
 @cache
 def _coarse() -> tuple[ChebyshevTable, Curve]:
-    """The map of the elastica to six digits, which take a twentieth of the time."""
-    whole = the_map()
-    return ChebyshevTable(whole.contact_given.coefficients[:12, :8]), Curve(
-        whole.fold.coefficients[:12, :1]
-    )
+    """The map of the elastica truncated to six digits, twenty times as fast."""
+    table = ChebyshevTable(the_map().contact_given.coefficients[:12, :8])
+    return table, Curve(the_map().fold.coefficients[:12, :1])

@@ -1,21 +1,20 @@
 """The planar beam: any whisker, curved or cut or hollow, with Coulomb friction.
 
-The whisker is followed from the contact to the base (`beam`), so that bending by a given
-force needs no root. Pressing against a point is Newton's method in contact arc and force on the
-pass's own derivatives; what it finds is taken only where the pass proves it stable, and the rest
-is walked along its branch from zero load (`branches`), which ends at a fold or at the tip.
+The whisker is followed from the contact to the base (`beam`): bending by a given force needs no
+root. Pressing against a point solves for contact arc and force by Newton's method. A solution is
+accepted where the pass shows it to be stable; the other contacts are followed along their branches
+from zero load (`branches`), up to a fold or the tip.
 
-Signs: a positive force pushes the whisker towards +y, positive curvature bends it the same way at
-rest, so positive curvature with a positive force is contact on the convex side, negative curvature
-or a negative force on a positively curved whisker the concave side. A positive friction angle
-tilts the force from the normal towards the base: friction on a whisker that is sliding outwards
-over the object, as while it unloads; while it is pressed harder it slides inwards, and the angle
-is negative. The sign of the friction angle does not depend on the side.
+Signs: a positive force pushes the whisker towards +y, and positive curvature bends it that way at
+rest: contact is on the convex side where force and curvature have the same sign, on the concave
+side otherwise. A positive friction angle tilts the force from the normal towards the base, as where
+the whisker slides outwards over the object while it unloads; it is negative where the whisker
+slides inwards while pressed harder. This sign does not depend on the side.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +23,7 @@ from .._util.checks import positive
 from .._util.values import Array, member
 from ..whisker import Whisker
 from .beam import Rows, resolve, zero_load
-from .branches import NO_MOVE, TIP, Branches, extended, walk
+from .branches import Branches, extended, walk
 from .contact import TOLERANCE, Bending, FlickPast, Outcome
 from .equilibrium import (
     Scenes,
@@ -42,8 +41,6 @@ from .shape import Profile
 
 __all__ = ["bend", "flick_past", "press", "rest_angle", "signal_jacobian"]
 
-_METRES = "give metres, such as 35e-3"
-
 
 def bend(
     whisker: Whisker | Profile,
@@ -55,10 +52,10 @@ def bend(
 ) -> Bending:
     """Bend any whisker by a force (N) at an arc length (m), as `weberwhisk.bend` does.
 
-    `friction_angle` (rad, between −π/2 and π/2) is that by which friction tilts the force from the
-    normal towards the base; `tolerance` the relative error to stay below. `PAST_FOLD` is an
-    equilibrium that an object fixed in space could no longer hold, `FLICKED_PAST` a load past that
-    again.
+    `friction_angle` (rad, between −π/2 and π/2) is the angle by which friction tilts the force from
+    the normal towards the base, `tolerance` the largest relative error. `PAST_FOLD`: in balance at
+    this force, but an object fixed in space would have been flicked past. `FLICKED_PAST`: a load
+    beyond that, or one that is not resolved.
 
     Examples
     --------
@@ -100,16 +97,15 @@ def press(
 ) -> Bending:
     """Press any whisker against a point (m, rad), as `weberwhisk.press` does.
 
-    All motion is in the plane; whether the whisker would leave it, past the point, `rod.press`
-    says. A curved whisker at rest lies at an angle of its own (`rest_angle`): the sign of the force
-    is that of the difference. `STUCK` is where no contact that slides at this friction angle is in
-    balance, though one without friction is, or this much friction never lets the contact slide at
-    all.
+    All motion is in the plane: `rod.press` says whether the whisker would slip out of it. The sign
+    of the force is that of `deflection_angle` less `rest_angle`. `STUCK`: no contact that slides at
+    this friction angle is in balance, although one without friction is, or friction never lets the
+    contact slide.
 
-    ``error`` is an upper estimate of the relative error of the signals, above the true one in 99.7
-    % of scenes and by a factor of 11 in the median. The true error is below `tolerance` away from
-    the fold. Towards it, where signals go as the square root of the angle left, and towards zero
-    load, it grows without bound and `error` with it.
+    ``error`` estimates the relative error of the signals from above: it exceeds the true error in
+    99.7 % of scenes and by a factor of 11 in the median. The true error is below `tolerance` except
+    towards the fold, where signals vary as the square root of the angle left, and towards zero
+    load. There it grows without bound, and `error` with it.
 
     Examples
     --------
@@ -118,10 +114,7 @@ def press(
     >>> b.outcome
     array([0, 0, 2], dtype=int8)
     """
-
-    def solve(rows: Rows, r: Array, theta: Array, psi: Array) -> Solved:
-        return press_rows(rows, r, theta, psi, tolerance)
-
+    solve = partial(press_rows, tolerance=tolerance)
     return by_rows(
         solve, whisker, length=radial_distance, angle=deflection_angle, tilt=friction_angle
     )
@@ -135,10 +128,9 @@ def signal_jacobian(
     *,
     tolerance: float = TOLERANCE,
 ) -> Array:
-    """Derivatives of the base signals to the contact, as `mechanics.signal_jacobian` has.
+    """Derivatives (..., 3, 2) of the base signals, as `mechanics.signal_jacobian` returns.
 
-    At a fixed friction angle: the pass's derivatives of signals and contact point to contact arc
-    and force, the latter inverted.
+    At a fixed friction angle, from derivatives with respect to contact arc and force.
 
     Examples
     --------
@@ -171,8 +163,8 @@ def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
     Returns
     -------
     array
-        NaN beyond the whisker's reach. A whisker so curved that it meets this radius twice is
-        touched at the meeting nearer to the base.
+        NaN beyond the whisker's reach. Where a curved whisker has two points at this distance, the
+        one nearer to the base touches.
 
     Examples
     --------
@@ -180,14 +172,12 @@ def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
     >>> print(np.degrees(rest_angle(w, 30e-3)).round(4))
     8.6269
     """
-    r = positive("radial_distance", radial_distance, _METRES)
-
-    def solve(rows: Rows, distance: Array) -> Solved:
-        _, theta = zero_load(rows, distance)
-        lost = np.full(theta.size, Outcome.HELD, dtype=np.int8)
-        return np.broadcast_to(theta, (8, theta.size)), lost, theta
-
-    return np.asarray(by_rows(solve, whisker, length=r).deflection_angle)
+    hint = "give metres, such as 35e-3"
+    scenes = Scenes.of(whisker, length=positive("radial_distance", radial_distance, hint))
+    angle = np.empty(scenes.length.size)
+    for part, rows, (distance,) in scenes.pieces():
+        angle[part] = zero_load(rows, distance)[1]
+    return angle.reshape(scenes.shape)
 
 
 def flick_past(
@@ -198,9 +188,9 @@ def flick_past(
     side: ArrayLike = 1.0,
     tolerance: float = TOLERANCE,
 ) -> FlickPast:
-    """The last deflection angle at a radial distance (m), why it ends, and the moment's peak.
+    """The largest deflection angle at a radial distance (m), what ends it, and the moment's peak.
 
-    As `weberwhisk.flick_past`; `side`, 1 or −1, is the sign of the force: which way it is pushed.
+    As `weberwhisk.flick_past`; `side`, 1 or −1, is the sign of the force.
 
     Examples
     --------
@@ -220,22 +210,15 @@ def flick_past(
         good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
         if not good.size:
             continue
-        branch = Branches.of(extended(rows.take(good)), distance[good], psi[good])
-        branch = replace(branch, tolerance=tolerance)
+        whiskers = extended(rows.take(good))
+        branch = Branches.of(whiskers, distance[good], psi[good], tolerance=tolerance)
         ended = walk(branch, np.full(good.size, np.inf), peaks=True)
         which = np.arange(n)[part][good]
         for i, (numbers, point) in enumerate(((at_end, ended.point), (at_peak, ended.peak))):
             numbers[:, which], errors[i, which] = at_points(branch, point, sign[good])
-        ended_by[which] = np.select(
-            [ended.end == TIP, ended.end == NO_MOVE],
-            [Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
-            Outcome.FLICKED_PAST,
-        )
+        ended_by[which] = ended.outcome
     lost = ended_by == Outcome.OUT_OF_REACH
     held = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
-    end, peak = (
-        scenes.bending(numbers, held, error)
-        for numbers, error in zip((at_end, at_peak), errors, strict=True)
-    )
+    end, peak = (scenes.bending(n, held, e) for n, e in zip((at_end, at_peak), errors, strict=True))
     reason = member(Outcome, ended_by.reshape(scenes.shape))
     return FlickPast(end.deflection_angle, reason, end, peak)
