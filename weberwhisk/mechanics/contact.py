@@ -16,7 +16,7 @@ from ..whisker import Whisker
 
 __all__ = [
     "NUMBERS", "TIP_ROUNDING", "TOLERANCE", "Bending", "FlickPast", "Model", "Outcome",
-    "bending", "beyond_tip", "by_rows", "flat_with", "friction", "in_pieces",
+    "bending", "beyond_tip", "by_rows", "flat_with", "friction", "in_pieces", "signals_of",
 ]  # fmt: skip
 
 
@@ -69,10 +69,10 @@ class Model(Worded):
 class Bending(Shown):
     """A whisker bent against a point: signals at the base, the contact and its outcome.
 
-    All values have the broadcast shape of the inputs (scalars for scalars, and an array of the
-    whole numbers behind `Outcome` and `Model` for arrays), in SI units. Where
-    there is no equilibrium the numbers are NaN and `outcome` says why. Angles and the
-    transverse signals carry the sign of the deflection.
+    All values have the broadcast shape of the inputs and are in SI units; `outcome` and `model` are
+    members for scalars and arrays of their integers otherwise. Where there is no equilibrium the
+    numbers are NaN and `outcome` says why. Angles and transverse signals carry the sign of the
+    deflection.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Bending(Shown):
 
     @property
     def outside_domain(self) -> str:
-        """What of whisker and contacts lies outside `weberwhisk.domain`, in words; empty if none.
+        """Which properties lie outside `weberwhisk.domain`, as a sentence; empty if none.
 
         Examples
         --------
@@ -180,7 +180,7 @@ def bending(
     outcome: Codes,
     error: Array,
 ) -> Bending:
-    """A result in its scenes' shape, of flat numbers in SI units."""
+    """A `Bending` of the given shape from flat numbers in SI units."""
     values: dict[str, Any] = {
         name: row.reshape(shape)[()] for name, row in zip(NUMBERS, numbers, strict=True)
     }
@@ -193,8 +193,13 @@ def bending(
     )
 
 
+def signals_of(bent: Bending) -> Array:
+    """Moment, axial and transverse force at the base, (..., 3)."""
+    return np.stack([bent.moment, bent.axial_force, bent.transverse_force], axis=-1)
+
+
 def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags:
-    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
+    """Whether contacts lie beyond the tip, or at the tip of a perfect cone, which has no stiffness.
 
     `fraction` is the distance over the apex distance.
     """
@@ -202,7 +207,7 @@ def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags
 
 
 def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
-    """`solve` of flat arrays (n,), or (1,) for all, piece by piece; what it returns, joined."""
+    """Call `solve` on pieces of flat arrays, (n,) or (1,) for all, and join what it returns."""
     found, rows = [], 8192  # pieces that fit the cache halve the time of large calls
     for start in range(0, max(given[0].size, 1), rows):
         piece = slice(start, start + rows)
@@ -215,7 +220,7 @@ def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
 
 
 def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-    """The shape of scenes of a straight whisker; its length, taper, stiffness and they, flat."""
+    """The broadcast shape; length, taper, stiffness and the arguments as flat arrays."""
     given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
     flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]
     return given[0].shape, flat

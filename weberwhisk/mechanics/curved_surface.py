@@ -1,15 +1,14 @@
-"""The base signals of a curved or rubbing whisker as tables over contacts, for posteriors.
+"""Base signals of a curved whisker, or one with friction, as tables over contacts, for posteriors.
 
-What `elastica.Surface` is to the straight elastica, this is to the planar beam and to the rod: the
-equations are solved once, at Chebyshev nodes, and interpolated from then on. A contact is given by
-its radial distance and its push, the angle by which the whisker has been turned since it first
-touched there.
+The equations of the planar beam or the rod are solved once at Chebyshev nodes, then interpolated.
+A contact is given by its radial distance and its push, the angle by which the whisker has turned
+since it first touched there.
 
-At a distance the branch of equilibria runs from rest to the fold, at the push P. It is followed on
-the whisker continued beyond its tip to the apex (`branches`), and tabled over the distance and
-c = √(1 − push/P), in which it is smooth up to the fold: the signals, over the small-angle lateral
-force of the straight taper, and the arc of the contact, which is lost at the tip where that arc
-comes to the length. What else a contact depends on is one more Chebyshev axis.
+At one distance the branch of equilibria runs from rest to the fold, at the push P, on the whisker
+continued beyond its tip to the apex (`branches`). It is smooth in c = √(1 − push/P). Tables over
+distance and c hold the signals over the small-angle lateral force of the straight taper, and the
+arc length of the contact: where it exceeds the length the tip has slipped off. Azimuth, friction
+and curvature are further axes.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from . import profile as planar
 from . import rod
 from .beam import rows_of, zero_load
 from .branches import Branches, NotFound, extended, walk
-from .contact import Outcome
+from .contact import Outcome, signals_of
 from .elastica import basis, fit, nodes, place_of, product, unfold
 from .shape import Profile, Spiral
 
@@ -37,16 +36,14 @@ __all__ = ["SIX", "THINNEST", "CurvedSurface", "curved_surface", "more_curved", 
 
 #: Axial force positive in compression, forces along y and z; torsion, moments about y and z.
 SIX = ("axial_force", "force_y", "force_z", "torsion", "moment_y", "moment_z")
-
-
 #: Runge–Kutta steps a piece of tabled whiskers: relative errors of 1e-9, 1e-7 at thin tips.
 STEPS = 12
-#: Tip over base radius at least: a thinner tip has no stiffness to speak of.
+#: Least ratio of tip to base radius in tables: a thinner tip has almost no stiffness.
 THINNEST = 1e-3
 
 
 class _Places(NamedTuple):
-    """Distinct places (m,): which is each contact's; and what is tabled at them."""
+    """Distinct places (m,), the index of each contact's, and what the tables give there."""
 
     which: Any
     distance: Array  # in lengths, 1 where it is not known
@@ -59,15 +56,15 @@ class _Places(NamedTuple):
 
 
 class CurvedSurface:
-    """Signals of one curved or rubbing whisker at any contact.
+    """Signals of one whisker with curvature or friction at any contact.
 
-    In the plane of curvature they are the moment, axial and transverse force of contacts that push
-    towards positive angles: positive curvature is contact on the convex side, negative on the
-    concave. In space they are `SIX`: a point at the distance r is pushed from where the whisker at
-    rest touches, along the great circle about the base that leaves there by the azimuth ω: 0 pushes
-    towards the side that the whisker curves to, in its plane, π against it. On a straight whisker
+    In the plane of curvature they are moment, axial and transverse force of contacts that push
+    towards positive angles: on the convex side for positive curvature, on the concave side for
+    negative. In space they are `SIX`: a point at the distance r moves from where the whisker at
+    rest touches, along the great circle about the base in the direction of the azimuth ω. At ω = 0
+    it pushes towards the side to which the whisker curves, at π away from it. On a straight whisker
     push and ω are deflection angle and azimuth. Signals even in ω are polynomials of cos ω, odd
-    ones sin ω times such.
+    ones sin ω times a polynomial.
 
     A contact is given by its distance (m), its push (rad), its azimuth (rad, in space alone),
     friction (rad) and an offset of the curvature (1/m).
@@ -77,22 +74,21 @@ class CurvedSurface:
     whisker : Whisker or Profile
         One whisker.
     friction : (float, float)
-        Friction angles that it is made for, rad; twice the same where it is known.
+        Range of friction angles, rad; both ends the same for a fixed angle.
     offset : (float, float)
-        As much, 1/m, may the curvature differ from the whisker's along its whole length.
+        Range of what is added to the curvature along the whole length, 1/m.
     in_space : bool
         Whether contacts have an azimuth.
 
     Attributes
     ----------
     error : float
-        Largest error of 60 contacts beside the planar beam's or the rod's own, over the lateral
-        force.
+        Largest error at 60 contacts against the planar beam or the rod, over the lateral force.
 
     Raises
     ------
     ValueError
-        For a whisker that turns by more than 2 rad, and one whose folds are not found.
+        For a whisker that turns by more than 2 rad, or whose folds are not found.
     """
 
     def __init__(
@@ -142,19 +138,22 @@ class CurvedSurface:
         return float(np.hypot(*self.profile.law.point(np.array([self.length])))[0])
 
     def _given(self, shares: list[Array]) -> Sequence[Array]:
-        """What is given beside the distance, where it has these shares (n,) of its axes."""
-        if self.in_space:
-            return np.arccos(2 * shares[0] - 1), *_between(self._ends, shares[1:])
-        return _between(self._ends, shares)
+        """Azimuth (in space), friction and offset (n,) at shares (n,) of their axes."""
+        along = zip(self._ends, shares[self.in_space :], strict=True)
+        uncertain = tuple(low + (high - low) * share for (low, high), share in along)
+        return (np.arccos(2 * shares[0] - 1), *uncertain) if self.in_space else uncertain
 
     def _shares(self, given: Sequence[Array]) -> list[Array]:
-        """The shares of what is given; beyond its range, those of its end."""
-        if self.in_space:
-            return [(1 + np.cos(given[0])) / 2, *_share(self._ends, given[1:])]
-        return _share(self._ends, given)
+        """Shares, clipped to 0 and 1, of the axes of `given`: (n,), or (1,) for a single value."""
+        uncertain = given[self.in_space :] or np.zeros((2, 1))
+        shares = [
+            np.clip((value - low) / (high - low), 0.0, 1.0) if high > low else np.zeros(1)
+            for (low, high), value in zip(self._ends, uncertain, strict=True)
+        ]
+        return [(1 + np.cos(given[0])) / 2, *shares] if self.in_space else shares
 
     def _parity(self, given: Sequence[Array]) -> Any:
-        """What signals are tabled over besides, (n, S)."""
+        """Factor of the signals that are odd in the azimuth, (n, S)."""
         odd = np.array([False, False, True, True, True, False])
         return np.where(odd, np.sin(given[0])[:, None], 1.0) if self.in_space else 1.0
 
@@ -171,8 +170,7 @@ class CurvedSurface:
         r = reach * np.tile(along, len(given[0]))
         flat = Branches.of(rows, r, friction, np.inf)
         # Near the apex, where 12 steps a piece were 3 % off at the fold, 36 are 4e-5 off.
-        steps = np.where(flat.scale[-1] < 0.02, 3 * STEPS, STEPS)
-        flat = replace(flat, steps=steps)
+        flat = replace(flat, steps=np.where(flat.scale[-1] < 0.02, 3 * STEPS, STEPS))
         if self.in_space:
             flat = SpaceBranches.around(flat, azimuth[0], self.profile.whisker)
         return reach[:: along.size], flat
@@ -184,15 +182,14 @@ class CurvedSurface:
             return pressed(self.whisker, r, push, azimuth[0], friction, offset)[0]
         whisker = more_curved(self.profile, offset)
         bent = planar.press(whisker, r, planar.rest_angle(whisker, r) + push, friction)
-        return np.stack([bent.moment, bent.axial_force, bent.transverse_force], axis=-1)
+        return signals_of(bent)
 
     # -- building ------------------------------------------------------------------------------
 
     def _made(self, *sizes: tuple[int, ...]) -> None:
-        """Make tables of so many nodes, on each axis of what is given, along and across.
+        """Make tables of the first of `sizes` whose error is below a thousandth of k = 0.01.
 
-        More where the error over the lateral force is above a thousandth of a Weber fraction of
-        0.01.
+        A size is the numbers of nodes on each axis of the conditions, along r and across c.
         """
         with np.errstate(all="ignore"):
             for *axes, along, across in sizes:
@@ -217,10 +214,8 @@ class CurvedSurface:
         lateral = 3 * pushes * room / branches.r**2
         signals /= np.where(branches.moments[:, None], branches.r, 1.0) * lateral[:, None]
         wide = tuple(np.repeat(a, along) for a in given)
-        values = np.concatenate(
-            [signals.transpose(0, 2, 1) / self._parity(wide), (arcs / branches.r)[..., None]],
-            axis=-1,
-        )
+        even = signals.transpose(0, 2, 1) / self._parity(wide)
+        values = np.concatenate([even, (arcs / branches.r)[..., None]], axis=-1)
         slips = (arcs > 1).any(axis=0)
         values = fit(values).transpose(1, 2, 0)
         self._moments = branches.moments
@@ -241,7 +236,7 @@ class CurvedSurface:
         self._safe = 0.98 * float(np.min(share[slips], initial=1.0)) - 0.5 / along**2
 
     def _certified(self) -> float:
-        """The largest error of 60 contacts all over, beside solving each, over lateral force."""
+        """The largest error over lateral force at 60 contacts, against solving each."""
         rng, count = np.random.default_rng(20261122), 60
         given = self._given([rng.random(count) for _ in self._axes])
         reach = self._reach @ self._polynomials(given) * np.ones(count)
@@ -266,7 +261,7 @@ class CurvedSurface:
         return place_of(1 - (1 - x * (1 - np.sqrt(1 - unfold(bend)))) ** 2) / bend
 
     def _polynomials(self, given: Sequence[Array]) -> Array:
-        """Those (m, n or 1) of what is given."""
+        """Products of the Chebyshev polynomials of the conditions, (m, n) or (m, 1)."""
         parts = [basis(k, share) for k, share in zip(self._axes, self._shares(given), strict=True)]
         return reduce(lambda a, b: (a[:, None] * b).reshape(len(a) * len(b), -1), parts)
 
@@ -369,19 +364,6 @@ def _distinct(*given: Array) -> tuple[list[Array], Index]:
     return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
 
 
-def _between(ends: Sequence[tuple[float, float]], shares: Sequence[Array]) -> tuple[Array, ...]:
-    """Values between ends at shares of the way."""
-    return tuple(lo + (hi - lo) * share for (lo, hi), share in zip(ends, shares, strict=True))
-
-
-def _share(ends: Sequence[tuple[float, float]], given: Sequence[Array]) -> list[Array]:
-    """The shares of the way, of values (n,) or, where the ends are one, 0 (1,)."""
-    return [
-        np.clip((value - low) / (high - low), 0.0, 1.0) if high > low else np.zeros(1)
-        for (low, high), value in zip(ends, given or np.zeros((2, 1)), strict=True)
-    ]
-
-
 #: The surface of a whisker, kept for its next contacts.
 curved_surface = lru_cache(maxsize=64)(CurvedSurface)
 
@@ -421,7 +403,7 @@ def pressed(
 
 @dataclass(frozen=True, eq=False)
 class SpaceBranches(Branches):
-    """The same in space: two forces, six signals; pushed to an azimuth (n,)."""
+    """Branches in space, with two forces and six signals, pushed towards an azimuth (n,)."""
 
     moments: ClassVar[Array] = np.array([False, False, False, True, True, True])
     scenes: Any = None
@@ -429,7 +411,7 @@ class SpaceBranches(Branches):
 
     @classmethod
     def around(cls, flat: Branches, azimuth: Array, whisker: Whisker) -> SpaceBranches:
-        """Those at azimuths (n,) of the same contacts."""
+        """Branches of the same contacts at azimuths (n,)."""
         none, one, twist = np.zeros(flat.r.size), np.ones(flat.r.size), 1 + rod.POISSON_RATIO
         shape = flat.r.shape
         scenes = rod.RodScenes(flat.rows, shape, one, one, flat.friction, none, twist, whisker)
@@ -447,15 +429,14 @@ class SpaceBranches(Branches):
         miss, slopes, _ = self.scenes._slopes(forces, self.r * there, STEPS)
         out = np.empty((len(y), 3, 4))
         out[..., :3] = slopes * (self.scale[:3] / unit).T[:, None]
-        out[..., 3] = (
-            (rest * np.sin(push) - aside * np.cos(push)) * self.r * self.scale[3] / unit
-        ).T
+        turn = rest * np.sin(push) - aside * np.cos(push)
+        out[..., 3] = (turn * self.r * self.scale[3] / unit).T
         return np.nan_to_num(miss / unit).T, out
 
     def onset(self) -> Array:
         if not self.friction.any():
             return super().onset()
-        # The size of friction has a cusp at no force, and no slopes there.
+        # Friction has a cusp at zero force, and no derivative there.
         _, aside = circle(self.rest, self.azimuth)
         v = self.start[:, :3].T * self.scale[:3]
         pace = self.scenes.onset(v, self.r, self.r * aside)
@@ -470,7 +451,7 @@ class SpaceBranches(Branches):
 
 
 def circle(angle: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Where the whisker at rest touches, and whither it is pushed: unit vectors (3, n)."""
+    """Unit vectors (3, n): where the whisker at rest touches, and the direction of the push."""
     zero = np.zeros_like(angle)
     rest = np.stack([np.cos(angle), np.sin(angle), zero])
     aside = np.stack([-np.sin(angle), np.cos(angle), zero]) * np.cos(azimuth)

@@ -1,24 +1,22 @@
-"""From a contact to the base signals of one whisker, whatever the whisker and the contact are like.
+"""From a contact to the base signals of one whisker: what cues call.
 
-Cues ask here: for the elastica's `Surface` of a straight whisker, the `CurvedSurface`
-of any other, or a model that is named.
+The signals come from the elastica's `Surface` of a straight whisker, the `CurvedSurface` of any
+other, or a named model.
 
 A contact is given by its radial distance and its *deflection from rest*: how far the whisker has
-been turned since it first touched at that distance. On a straight whisker that is the deflection
-angle of `press`; on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``. On a
-hinge it is what carries the hinge that has been turned.
+turned since it first touched at that distance. It is the deflection angle of `press` on a straight
+whisker, and on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``.
 
-A whisker on a hinge is in series with a rotational spring at its base, which turns by the moment
-over the spring's stiffness, Λ M. A contact at an angle θ of what carries the spring is one of the
-clamped whisker at θ′, with
+A hinge is a rotational spring between the follicle and the base of the whisker, which turns by Λ M.
+A deflection θ of the follicle bends the whisker as a deflection θ′ of a clamped one, with
 
     θ = θ′ + Λ M(r, θ′).
 
-The angle grows with θ′ until the fold, or until the moment falls faster than the whisker is bent:
-there the whisker flicks past, the earlier the softer the spring. With θ′ = limit·sin p and
-θ = largest·sin q both are smooth up to these ends. Contact is lost from half a turn on, as next to
-the base a push turns the spring alone; where Λ is unknown, from the share of the largest angle on
-that is half a turn for the middle of its range, so that the limit has no kink.
+θ grows with θ′ until the fold, or until ΛM falls faster than θ′ grows. There the whisker flicks
+past, earlier on a more compliant hinge. With θ′ = limit·sin p and θ = largest·sin q both are smooth
+up to these ends. Contact is lost from half a turn on, as next to the base a push turns the hinge
+alone; if Λ is uncertain, from the fraction of the largest θ that is half a turn in the middle of
+its range, so that the limit has no kink.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
 from .beam import rows_of, zero_load
-from .contact import Outcome, in_pieces
+from .contact import Outcome, in_pieces, signals_of
 from .curved_surface import THINNEST, CurvedSurface, curved_surface, more_curved, pressed
 from .elastica import Surface, surface_of
 from .profile import rest_angle
@@ -47,24 +45,22 @@ from .shape import Profile
 
 __all__ = ["ForwardModel", "forward_of"]
 
-NAMES = ("moment", "axial_force", "transverse_force")
-
 
 @dataclass(frozen=True, eq=False)
 class ForwardModel(Value):
-    """One whisker, and what its contacts are like beside where they are.
+    """One whisker, the model of its mechanics, and the conditions of its contacts.
 
-    The models "profile" and "rod", where named, solve for every contact; by default a table serves:
-    the elastica's of a straight whisker without friction, the planar beam's of any other. The
-    elastica and the closed form of a curved whisker are those of the same taper, deflected by as
-    much from rest. On a hinge, tables say how much of a deflection bends the whisker, and a model
-    that is named solves for the signals of that.
+    By default signals are interpolated from a table: the elastica's for a straight whisker without
+    friction, the planar beam's for any other. The models "profile" and "rod" solve every contact.
+    The models "elastica" and "closed_form" take a curved whisker as a straight one of the same
+    taper and deflection from rest. On a hinge, tables give the deflection θ′ that bends the
+    whisker, and a named model the signals at θ′.
 
     The `friction` angle (rad, as in `press`), the `offset` added to the curvature at rest (1/m) and
-    the stiffness of the `hinge` (N m/rad, by default the whisker's own) are numbers or arrays that
-    broadcast with the contacts; their ranges are those that tables cover. With an `azimuth`, rad,
-    from the side that the whisker curves to, contacts are in space (see `CurvedSurface`); without
-    one they are in the plane of curvature, on that side.
+    the stiffness of the `hinge` (N m/rad, by default the whisker's) are numbers or arrays that
+    broadcast with the contacts; tables cover their ranges. With an `azimuth` (rad, from the side to
+    which the whisker curves) contacts are in space (see `CurvedSurface`), otherwise in the plane of
+    curvature on that side.
 
     Examples
     --------
@@ -91,18 +87,17 @@ class ForwardModel(Value):
             if not any(getattr(self, ends)) and np.any(given):
                 self._set(**{ends: (float(np.min(given)), float(np.max(given)))})
         whisker = self.whisker
-        if isinstance(whisker, Whisker) and np.all(whisker.tip_radius == 0):
-            known = not any((*self.friction_range, *self.offset_range))
-            if not known or np.any(whisker.curvature):
-                # The same whisker but for its last thousandth, which nothing can be held by.
-                length, tip = (1 - THINNEST) * whisker.length, THINNEST * whisker.base_radius
-                self._set(whisker=replace(whisker, length=length, tip_radius=tip))
+        cone = isinstance(whisker, Whisker) and np.all(whisker.tip_radius == 0)
+        if cone and not self.is_plain:
+            # The same whisker without its last thousandth, which is too thin for any contact.
+            length, tip = (1 - THINNEST) * whisker.length, THINNEST * whisker.base_radius
+            self._set(whisker=replace(whisker, length=length, tip_radius=tip))
 
-    # -- what it is like -----------------------------------------------------------------------
+    # -- properties ----------------------------------------------------------------------------
 
     @cached_property
     def base(self) -> Whisker:
-        """The clamped whisker that sets scales: of a profile, that of its ends."""
+        """The clamped whisker that sets scales; for a profile its linear taper."""
         whisker: Whisker = getattr(self.clamped.whisker, "whisker", self.clamped.whisker)
         return whisker
 
@@ -120,7 +115,7 @@ class ForwardModel(Value):
 
     @cached_property
     def _compliances(self) -> tuple[float, float]:
-        """The ends of its range."""
+        """The ends of the range of the hinge compliance."""
         low, high = self.hinge_range
         return (1 / high, 1 / low) if high > low else (float(self.hinge_compliance),) * 2
 
@@ -139,7 +134,7 @@ class ForwardModel(Value):
 
     @cached_property
     def is_plain(self) -> bool:
-        """A straight taper without friction, of which the elastica leaves nothing out."""
+        """Whether it is a straight taper without friction: the elastica leaves nothing out."""
         return self.is_smooth and not np.any(self.whisker.curvature)
 
     @cached_property
@@ -156,13 +151,13 @@ class ForwardModel(Value):
 
     @cached_property
     def is_smooth(self) -> bool:
-        """A linear taper without friction, of a curvature that is known."""
+        """Whether it is a linear taper without friction and of certain curvature."""
         known = not any((*self.friction_range, *self.offset_range))
         return known and isinstance(self.whisker, Whisker)
 
     @cached_property
     def surface(self) -> Surface | CurvedSurface:
-        """The table that serves it, made once."""
+        """The table of its signals, cached."""
         if self.azimuth is not None:
             return curved_surface(
                 self.whisker, self.friction_range, self.offset_range, in_space=True
@@ -222,9 +217,9 @@ class ForwardModel(Value):
     # -- contacts ------------------------------------------------------------------------------
 
     def _rows(self, r: ArrayLike, *more: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-        """The broadcast shape, and everything flat; what is one number for all becomes one.
+        """The broadcast shape, and arguments and conditions flat; constant conditions as (1,).
 
-        The surface is then contracted once, not at every contact: ten times as fast.
+        A surface is contracted once for a constant condition: ten times as fast.
         """
         uncertain = (self.friction, self.offset, self.hinge_compliance)
         given = [np.asarray(a, dtype=float) for a in (r, *more, *uncertain)]
@@ -289,12 +284,12 @@ class ForwardModel(Value):
 
     @cached_property
     def _table(self) -> ForwardModel:
-        """What bends on a hinge, by the table that serves it."""
+        """The clamped whisker, by a table."""
         rough = not self.is_plain and self.model in ("elastica", "closed_form")
         return replace(self.clamped, model="elastica" if rough else None)
 
     def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Flags]:
-        """How much of deflections bends the whisker (...), and whether it lost hold early."""
+        """θ′ of deflections (...), and whether contact is lost at a fold of the hinge."""
         shape, (flat, angle, _, _, compliance) = self._rows(r, theta)
         compliance = np.broadcast_to(compliance, flat.shape)
         if self.model == "closed_form":
@@ -321,20 +316,18 @@ class ForwardModel(Value):
         return signals.reshape(*shape, 6), outcome.reshape(shape)
 
     def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
-        """By solving the equations of the model that was named, contact by contact."""
+        """Signals and outcomes by solving the named model's equations for every contact."""
         if self.model == "closed_form":
             bare = closed_form.press(_straightened(self.base), r, theta)
-            signals = np.stack([getattr(bare, name) for name in NAMES], axis=-1)
-            return signals, np.asarray(bare.outcome, dtype=np.int8)
+            return signals_of(bare), np.asarray(bare.outcome, dtype=np.int8)
         whisker = self._at_rest(np.asarray(self.offset)) if np.any(self.offset) else self.whisker
         theta = np.asarray(theta, dtype=float) + rest_angle(whisker, r)
         reached = ~np.isnan(theta)
         r, theta = np.where(reached, r, 0.5 * self.length), np.where(reached, theta, np.pi)
-        # On a hinge that is soft enough some are lost beyond a whole turn, which `press` refuses.
+        # On a compliant hinge θ′ of lost contacts may exceed a whole turn, which `press` refuses.
         theta = np.clip(theta, -2 * np.pi, 2 * np.pi)
         bent = ladder.press(whisker, r, theta, self.friction, model=self.model)
-        signals = np.stack([getattr(bent, name) for name in NAMES], axis=-1)
-        return signals, np.asarray(bent.outcome, dtype=np.int8)
+        return signals_of(bent), np.asarray(bent.outcome, dtype=np.int8)
 
     def jacobian(self, r: ArrayLike, theta: ArrayLike) -> Array:
         """Derivatives (..., 3, 2) of the signals to distance (m) and deflection from rest (rad).
@@ -385,7 +378,7 @@ class ForwardModel(Value):
 
 
 def forward_of(whisker: Any, model: str | None = None) -> ForwardModel:
-    """The forward model of a whisker, or the one that is given in its place."""
+    """The forward model of a whisker; a `ForwardModel` as it is, or with another `model`."""
     if isinstance(whisker, ForwardModel):
         return whisker if model is None else replace(whisker, model=model)
     return ForwardModel(whisker, model)
@@ -401,7 +394,7 @@ def _straightened(whisker: Whisker) -> Whisker:
 def _largest(
     forward: ForwardModel, ends: tuple[float, float], r: Array, compliance: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Limits of θ′ and p, the largest θ, and that held, at distances (n,), rad; or NaN."""
+    """Limits of θ′ and p, largest θ, and largest θ in contact (n,), rad; NaN out of reach."""
     top = forward.limit(r) * (1 - 1e-13)  # rounding must not put it beyond the table's own
     peaks = _peaks(forward, *ends)
     peak = peaks(r, compliance)
@@ -415,11 +408,11 @@ def _largest(
 def _clamped_angle(
     forward: ForwardModel, ends: tuple[float, float], r: Array, theta: Array, compliance: Array
 ) -> tuple[Array, Flags]:
-    """θ′ at distances and θ (n,), beyond its limit where θ is; whether not the tip ends it."""
+    """θ′ (n,), beyond its limit where θ is; and whether contact is lost other than at the tip."""
     top, peak, last, held = _largest(forward, ends, r, compliance)
     size = np.abs(theta)
     inside = (size > 0) & (size < last) & (size <= held)
-    # Beyond, as far beyond the clamped whisker's own limit, which then says what becomes of it.
+    # Beyond the limit of θ, θ′ is beyond the clamped whisker's, which gives the outcome.
     out = np.where(size > held, 2 * top + size, np.where(size == last, top * np.sin(peak), size))
     if inside.any():
 
@@ -446,7 +439,7 @@ def _angle(forward: ForwardModel, p: Array, r: Array, top: Array, compliance: Ar
 
 @lru_cache(maxsize=64)
 def _peaks(forward: ForwardModel, low: float, high: float) -> Callable[[Array, Array], Array]:
-    """p (n,) at which θ is largest, at r and Λ: to first order no error is one of θ."""
+    """p (n,) at which θ is largest, as a function of r and Λ; θ is stationary there."""
     place = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, 400)) ** 2
     soft = np.geomspace(low, high, 33) if high > low else np.array([low])
     r, compliance = (a.ravel() for a in np.meshgrid(place, soft, indexing="ij"))

@@ -1,4 +1,4 @@
-"""Bend, press, flick past: each by the cheapest model that models all there is, or by one named."""
+"""Bend, press, flick past: by the cheapest model that leaves nothing out, or by a named one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .._util.checks import angle, distance, finite, one_of, positive
 from .._util.values import Array, Flags, member
 from ..whisker import Whisker
 from . import closed_form, elastica
-from .contact import NUMBERS, TOLERANCE, Bending, FlickPast, Model, Outcome, friction
+from .contact import NUMBERS, TOLERANCE, Bending, FlickPast, Model, Outcome, friction, signals_of
 from .shape import Profile
 
 __all__ = ["bend", "flick_past", "press", "press_by", "signal_jacobian"]
@@ -21,7 +21,6 @@ __all__ = ["bend", "flick_past", "press", "press_by", "signal_jacobian"]
 #: The models that a name can force, cheapest first.
 MODELS = tuple(model.name.lower() for model in Model)
 _METRES = "give metres, such as 35e-3"
-_NEWTONS, _RADIANS = "give newtons, such as 1e-5", "give radians, such as 0.35"
 _NO_ROLL = "give radians, 0 for contact in plane"
 _STRAIGHT: dict[str, Any] = {"closed_form": closed_form, "elastica": elastica}
 
@@ -51,11 +50,11 @@ def bend(
         As for `press`, where it makes no difference: a force given out of the plane of curvature
         also has a direction, which `rod.bend` takes.
     model : {"closed_form", "elastica", "profile"}, optional
-        The model to use. By default the cheapest that models all there is: the elastica for every
-        straight whisker without friction, and the profile, some twenty times dearer, for intrinsic
+        The model to use. By default the cheapest that leaves nothing out: the elastica for every
+        straight whisker without friction, and the profile, some twenty times slower, for intrinsic
         curvature, other stiffness profiles and friction.
     tolerance : float
-        Relative error of the signals to stay below where equations are integrated: by the profile.
+        Largest relative error of the signals where the profile integrates the equations.
 
     Returns
     -------
@@ -65,8 +64,8 @@ def bend(
     Raises
     ------
     ValueError
-        For input that is not finite, a distance that is not positive, an unknown model, for
-        what the model named leaves out, and for a curved whisker that is rolled.
+        For input that is not finite, a distance that is not positive, an unknown model, a scene
+        with something that the named model leaves out, and a curved whisker that is rolled.
 
     Examples
     --------
@@ -76,16 +75,14 @@ def bend(
     2.311082e-06 N m, 60.000 degrees, HELD
     """
     arc = positive("arc_length", arc_length, _METRES)
-    load = finite("force", force, _NEWTONS)
+    load = finite("force", force, "give newtons, such as 1e-5")
     tilt = friction(friction_angle)
     hint = "write ww.mechanics.rod.bend(whisker, arc_length, force, direction, plane=...)"
     _refuse_roll(whisker, "bend", roll, hint)
     name = _model_of(whisker, model, tilt, known=MODELS[:3])
     if name in _STRAIGHT:
-        bent: Bending = _STRAIGHT[name].bend(whisker, arc, load)
-    else:
-        bent = _module("profile").bend(whisker, arc, load, tilt, tolerance=tolerance)
-    return bent
+        return _STRAIGHT[name].bend(whisker, arc, load)
+    return _module("profile").bend(whisker, arc, load, tilt, tolerance=tolerance)
 
 
 def press(
@@ -115,7 +112,7 @@ def press(
         the deflection angle is then its azimuth. Moment and forces are those in the plane of the
         push; `rod.press` has all six.
     model : {"closed_form", "elastica", "profile", "rod"}, optional
-        The model to use. By default the cheapest that models all there is; `choose_model` says
+        The model to use. By default the cheapest that leaves nothing out; `choose_model` says
         which one a noisy observer needs.
 
     Returns
@@ -139,12 +136,10 @@ def press(
     r, theta, tilt, turn = _scene(radial_distance, deflection_angle, friction_angle, roll)
     name = _model_of(whisker, model, tilt, turn)
     if name in _STRAIGHT:
-        bent: Bending = _STRAIGHT[name].press(whisker, r, theta)
-    elif name == "profile":
-        bent = _module("profile").press(whisker, r, theta, tilt)
-    else:
-        bent = _press_in_space(whisker, r, theta, tilt, turn)
-    return bent
+        return _STRAIGHT[name].press(whisker, r, theta)
+    if name == "profile":
+        return _module("profile").press(whisker, r, theta, tilt)
+    return _press_in_space(whisker, r, theta, tilt, turn)
 
 
 def flick_past(
@@ -190,20 +185,17 @@ def flick_past(
     hint = "write ww.press(..., roll=...) at growing deflection angles"
     _refuse_roll(whisker, "flick_past", roll, hint)
     if _model_of(whisker, None, tilt) == "profile":
-        bent: FlickPast = _module("profile").flick_past(whisker, r, tilt, side=sides)
-        return bent
+        return _module("profile").flick_past(whisker, r, tilt, side=sides)
     assert isinstance(whisker, Whisker)
     r, sides = np.broadcast_arrays(r, sides)
     end = elastica.flick_past(whisker, r)
     if np.all(sides == 1):
         return end
-    last, peak = (b.deflection_angle * sides for b in (end.at_end, end.at_moment_peak))
-    return FlickPast(
-        end.deflection_angle * sides,
-        end.ended_by,
-        elastica.press(whisker, r, last),
-        elastica.press(whisker, r, peak),
+    last, peak = (
+        elastica.press(whisker, r, b.deflection_angle * sides)
+        for b in (end.at_end, end.at_moment_peak)
     )
+    return FlickPast(end.deflection_angle * sides, end.ended_by, last, peak)
 
 
 def signal_jacobian(
@@ -226,7 +218,7 @@ def signal_jacobian(
     -------
     array, shape (..., 3, 2)
         Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
-        where the contact is not held. They grow without bound towards the fold. In space they are
+        where contact is lost. They grow without bound towards the fold. In space they are
         differences of fourth order, good to 1e-7, and NaN within 1e-3 of where contact ends.
 
     Raises
@@ -237,16 +229,15 @@ def signal_jacobian(
     r, theta, tilt, turn = _scene(radial_distance, deflection_angle, friction_angle, roll)
     name = _model_of(whisker, None, tilt, turn)
     if name == "profile":
-        slopes: Array = _module("profile").signal_jacobian(whisker, r, theta, tilt)
-        return slopes
+        return _module("profile").signal_jacobian(whisker, r, theta, tilt)
     if name == "elastica":
         assert isinstance(whisker, Whisker)
         return elastica.signal_jacobian(whisker, r, theta)
-    columns, size = [], np.array([1, -1, 2, -2])
+    columns = []
     for dr, dt in ((5e-4 * r, 0.0), (0.0, 5e-4)):
-        ends = [press(whisker, r + k * dr, theta + k * dt, tilt, roll=turn) for k in size]
         near, back, far, farther = (
-            np.stack([b.moment, b.axial_force, b.transverse_force], axis=-1) for b in ends
+            signals_of(press(whisker, r + k * dr, theta + k * dt, tilt, roll=turn))
+            for k in (1, -1, 2, -2)
         )
         rise = (8 * (near - back) - (far - farther)) / 12
         columns.append(rise / np.asarray(dr + dt)[..., None])
@@ -261,17 +252,11 @@ def press_by(
     roll: ArrayLike,
     model: Model,
 ) -> Bending:
-    """`press` by a model that may leave some of the scene out.
+    """`press` by a model that may leave part of the scene out.
 
-    The closed form and the elastica see a straight taper, deflected by the *push*: the angle from
-    where the whisker at rest first touches. The planar beam sees the whisker's projection on the
+    The closed form and the elastica take a straight taper, deflected by the *push*: the angle from
+    where the whisker at rest first touches. The planar beam takes the whisker's projection on the
     plane of the push, its curvature times cos(roll), under the same push.
-
-    Parameters
-    ----------
-    whisker, radial_distance, deflection_angle, friction_angle, roll
-        As for `press`.
-    model : Model
     """
     r, theta, tilt, turn = _scene(radial_distance, deflection_angle, friction_angle, roll)
     if model == Model.ROD:
@@ -296,10 +281,10 @@ def _scene(
     friction_angle: ArrayLike,
     roll: ArrayLike,
 ) -> tuple[Array, Array, Array, Array]:
-    """The arguments of `press`, checked."""
+    """The arguments of `press` as checked arrays."""
     return (
         distance("radial_distance", radial_distance, _METRES),
-        angle("deflection_angle", deflection_angle, _RADIANS),
+        angle("deflection_angle", deflection_angle, "give radians, such as 0.35"),
         friction(friction_angle),
         finite("roll", roll, _NO_ROLL),
     )
@@ -327,15 +312,15 @@ def _seen(bent: Bending, lost: Flags, theta: Array) -> Bending:
 def _press_in_space(
     whisker: Whisker | Profile, r: Array, theta: Array, tilt: Array, roll: Array
 ) -> Bending:
-    """By the rod, at the height at which the whisker at rest reaches that distance."""
+    """`press` by the rod, at the elevation at which the whisker at rest reaches that distance."""
     whole = Profile.of(whisker)
     azimuth, height = _first_touch(whole, r, roll)
-    height, push = np.nan_to_num(height), theta - azimuth  # out of reach it is, at any height
+    height, push = np.nan_to_num(height), theta - azimuth  # NaN: out of reach at any elevation
     direction = [np.cos(height) * np.cos(theta), np.cos(height) * np.sin(theta), np.sin(height)]
     point = r[..., None] * np.stack(np.broadcast_arrays(*direction), axis=-1)
-    # A point alone does not distinguish more than half a turn from the rest of a whole one.
+    # A point does not say by which of the two ways round it was reached: the push does.
     b = _module("rod").press(whole, point, tilt, plane=roll, round_back=np.abs(push) > np.pi)
-    # The tangent is within half a turn of the line to the contact, on whichever turn that is.
+    # The contact angle is within half a turn of θ_d.
     slant = np.arctan2(b.tangent[..., 1], b.tangent[..., 0]) - theta
     slant = theta + (slant + np.pi) % (2 * np.pi) - np.pi
     r, theta = (np.broadcast_to(v, np.shape(b.error))[()] for v in (r, theta))
@@ -367,8 +352,8 @@ def _model_of(
     roll: ArrayLike = 0.0,
     known: tuple[str, ...] = MODELS,
 ) -> str:
-    """The name of the model to use: the one named, or the lowest that models all there is."""
-    needs = {}  # what the scene has: its size and unit, and the lowest model that models it
+    """The name of the model to use: the named one, or the cheapest that leaves nothing out."""
+    needs = {}  # feature of the scene → its size and unit, and the lowest model that includes it
     if isinstance(whisker, Whisker):
         bow = np.max(np.abs(whisker.curvature))
     else:

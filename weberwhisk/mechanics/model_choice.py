@@ -1,18 +1,17 @@
 """The cheapest model whose bias in the inferred radial distance is a small part of its JND.
 
-An observer who takes a model for the truth reads each signal s wrong by δ. Under Weber noise of sd
-k·s the least-squares estimate of the unknowns moves by (JᵀWJ)⁻¹JᵀWδ with W = 1/(ks)², and the JND
-of r (one observation's sd) is the root of the first diagonal element of (JᵀWJ)⁻¹. In relative
-signals, with g_r and g_θ the columns of ∂ln s/∂(r, θ_d) and q the unit vector along g_r (less its
-part along g_θ where the deflection angle is unknown too), their ratio is
+An observer who assumes a model misjudges each signal s by δ. Under Weber noise of sd k·s the
+least-squares estimate of the unknowns shifts by (JᵀWJ)⁻¹JᵀWδ with W = 1/(ks)². The JND of r (one
+observation's sd) is the root of the first diagonal element of (JᵀWJ)⁻¹. With g_r and g_θ the
+columns of ∂ln s/∂(r, θ_d), and q the unit vector along g_r (less its component along g_θ where the
+deflection angle is unknown too), the ratio of the two is
 
-    bias/JND = |q · δ/s| / k:
+    bias/JND = |q · δ/s| / k,
 
-the relative error along the one direction of signals that informs of r. One signal: |δ/s|/k. Each
-scene is solved with every model up to the one that models all there is in it.
+for one signal |δ/s|/k. Each scene is solved with every model up to the one that leaves nothing out.
 
-Of an `Observer`, whose cue and noise may be any, the largest bias (JᵀWJ)⁻¹JᵀWδ over contacts all
-over the reach says which model serves it.
+For an `Observer`, with any cue and noise, the model is chosen by the largest bias (JᵀWJ)⁻¹JᵀWδ over
+contacts throughout the reach.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._util.checks import finite, positive
 from .._util.values import Array, Codes, Line, member
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
-from .contact import Model, Outcome, friction
+from .contact import Model, Outcome, friction, signals_of
 from .equilibrium import common_shape
 from .ladder import press_by, signal_jacobian
 from .profile import rest_angle
@@ -34,13 +33,9 @@ from .shape import Profile, Spiral
 
 __all__ = ["Choice", "Chosen", "choose_model", "chosen", "note", "of_shape_at_rest", "why"]
 
-NAMES = ("moment", "axial_force", "transverse_force")
-
-#: The base signal that each signal of a cue is judged by: a rate at a given speed is as good.
-_SENSED = {name: name for name in NAMES} | {"moment_rate": "moment"}
+#: The row of the base signals with the relative error of each signal of a cue.
+_SENSED = {"moment": 0, "axial_force": 1, "transverse_force": 2, "moment_rate": 0}
 _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
-#: The unit of a bias that is not judged against any noise.
-SIGNAL_UNIT = "of a signal"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,14 +48,14 @@ class Choice(Line):
         The cheapest model whose bias is within the tolerance.
     error : array (..., 4)
         Largest relative error of the moment and the two forces, by model. Infinite where a model
-        finds no contact, 0 from the first model on that models all there is.
+        finds no contact, 0 from the first model on that leaves nothing out.
     bias : array (..., 4)
-        What is judged, by model: the shift of the inferred radial distance by that error, in JNDs,
-        or where no noise was named the error itself.
+        Shift of the inferred radial distance by that error, in JNDs, by model; the error itself
+        where no Weber fraction was given.
     tolerance : float or array
         The largest bias allowed.
     unit : str
-        What bias and tolerance are in, in words.
+        Unit of bias and tolerance.
     """
 
     model: Model | Codes
@@ -100,7 +95,7 @@ def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
 
 
 def _shown(bias: float, allowed: float) -> str:
-    """A bias in two digits, or as many more as show on which side of what is allowed it lies."""
+    """A bias in two digits, or in as many as distinguish it from the bias that is allowed."""
     for digits in range(2, 17):
         text = f"{bias:.{digits}g}"
         if np.sign(float(text) - float(f"{allowed:g}")) == np.sign(bias - allowed):
@@ -130,7 +125,7 @@ def choose_model(
         The signals that inform of the distance, such as ``cues.ForceMap()``; by default the moment
         at a known deflection angle, as in ``cues.Compliance()``.
     weber_fraction : float or array, or None
-        k of each signal's noise. None judges the signals themselves, whatever is made of them.
+        k of each signal's noise. None: the model is chosen by the error of the signals.
     tolerance : float or array
         Largest bias of the inferred radial distance, as a fraction of its JND; without a Weber
         fraction the largest relative error of the moment and the two forces.
@@ -173,10 +168,10 @@ def choose_model(
     theta = np.broadcast_to(_pushed(whisker, r, theta, turn), shape)
     top = np.broadcast_to(_top(whisker, tilt, turn), shape)
     scene = whisker, r, theta, tilt, turn
-    error, off = _biases(scene, top, [NAMES.index(_SENSED[name]) for name in names], unknowns)
+    error, off = _biases(scene, top, [_SENSED[name] for name in names], unknowns)
     bias = error if weber_fraction is None else off / k
     model = member(Model, np.argmax(bias <= allowed, axis=0).astype(np.int8))
-    unit = SIGNAL_UNIT if weber_fraction is None else "JND"
+    unit = "of a signal" if weber_fraction is None else "JND"
     return Choice(model, np.moveaxis(error, 0, -1), np.moveaxis(bias, 0, -1), tolerance, unit)
 
 
@@ -195,7 +190,7 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
 
 
 def _pushed(whisker: Whisker | Profile, r: Array, theta: Array, roll: Array) -> Array:
-    """Angles at which the push is 1e-6 rad or more, to which signals are proportional below."""
+    """Angles with pushes of at least 1e-6 rad: signals are proportional to smaller ones."""
     rest = rest_angle(whisker, r)
     push = theta - np.arctan2(np.sin(rest) * np.cos(roll), np.cos(rest))
     nudge = np.where(push < 0, -1e-6, 1e-6) - push
@@ -203,7 +198,7 @@ def _pushed(whisker: Whisker | Profile, r: Array, theta: Array, roll: Array) -> 
 
 
 def _top(whisker: Whisker | Profile, tilt: Array, roll: Array) -> Codes:
-    """The lowest model that models all there is, (...)."""
+    """The lowest model that leaves nothing out, (...)."""
     whole = Profile.of(whisker)
     taper = len(whole.arc) == 2 and not np.any(whole.core)
     laws = np.broadcast_arrays(*[value != 0 for value in vars(whole.law).values()])
@@ -221,8 +216,7 @@ def _biases(
     signals = np.full((4, 3, *top.shape), np.nan)
     for model in range(last + 1):
         bent = press_by(*scene, Model(model))
-        for row, name in enumerate(NAMES):
-            signals[model, row] = np.where(bent.held, getattr(bent, name), np.nan)
+        signals[model] = np.where(bent.held, np.moveaxis(signals_of(bent), -1, 0), np.nan)
     true = np.take_along_axis(signals, top[None, None].astype(np.intp), axis=0)[0]
     with np.errstate(all="ignore"):
         off = signals / true - 1
@@ -235,7 +229,7 @@ def _biases(
         slopes = slopes[sensed] / true[sensed][:, None]
         signed = np.where(relative > 0, off, 0.0)[:, sensed]
         along = np.abs((_direction(slopes, angle_unknown) * signed).sum(axis=1))
-    # Where the slopes are lost, as at a fold, the worst signal is what there is.
+    # Where slopes are missing, as at a fold, the largest error of any signal stands in.
     return worst, np.where(np.isfinite(along), along, worst)
 
 
@@ -243,23 +237,21 @@ def _direction(slopes: Array, angle_unknown: bool) -> Array:
     """The unit vector of relative signals (S, ...) that informs of r, from ∂ln s/∂(r, θ_d)."""
     to_r, to_angle = slopes[:, 0], slopes[:, 1]
     if angle_unknown and len(to_r) == 2:  # also where the two columns are parallel: a ridge
-        q: Array = np.stack([to_angle[1], -to_angle[0]])
+        to_r = np.stack([to_angle[1], -to_angle[0]])
     elif angle_unknown:
-        q = to_r - to_angle * (to_angle * to_r).sum(axis=0) / (to_angle**2).sum(axis=0)
-    else:
-        q = to_r
-    return np.asarray(q / np.sqrt((q**2).sum(axis=0)))
+        to_r = to_r - to_angle * (to_angle * to_r).sum(axis=0) / (to_angle**2).sum(axis=0)
+    return np.asarray(to_r / np.sqrt((to_r**2).sum(axis=0)))
 
 
 # -- for observers --------------------------------------------------------------------------------
 
 
 class Chosen(str):
-    """The name of a model that an observer chose: whoever is made from it chooses again."""
+    """The name of a model that an observer chose; observers made from that one choose again."""
 
 
 def chosen(observer: Any) -> Chosen:
-    """The cheapest model that will do."""
+    """The cheapest model whose bias is below the observer's tolerance."""
     forward = observer.forward
     if forward.is_plain:
         return Chosen("elastica")
@@ -270,7 +262,7 @@ def chosen(observer: Any) -> Chosen:
 
 
 def why(observer: Any) -> str:
-    """Which model of the mechanics serves an observer, and why."""
+    """Why an observer uses its model of the mechanics, in words."""
     if not isinstance(observer.model, Chosen):
         return f"{observer.model} was requested"
     forward = observer.forward
@@ -291,7 +283,7 @@ def why(observer: Any) -> str:
 
 
 def note(observer: Any) -> str:
-    """A shape at rest that is left out, an untold roll, and an imprecise table."""
+    """Warnings: shape at rest left out, no information about the roll, imprecise table."""
     return "; ".join(filter(None, (_shape_at_rest(observer), _roll(observer), _table(observer))))
 
 
@@ -361,7 +353,7 @@ def _side_of_law(whisker: Whisker) -> float:
 
 
 def _at_rest(whisker: Whisker | Profile) -> Whisker | Profile | None:
-    """What a whisker is like that is taken as straight or as an arc; none of any other."""
+    """The whisker with its shape at rest if it is taken as straight or as an arc, else None."""
     if isinstance(whisker, Profile):
         plain, straight = whisker.whisker, not np.any(whisker.law(whisker.arc[[0, -1]]))
     else:
@@ -380,12 +372,12 @@ def _at_rest(whisker: Whisker | Profile) -> Whisker | Profile | None:
 
 
 def of_shape_at_rest(observer: Any) -> float:
-    """Largest bias of the shape taken in the place of that at rest, JNDs; 0 where that is given.
+    """Largest bias from replacing the shape at rest, JNDs; 0 where that shape is given.
 
-    Of named whiskers taken as straight or as arcs, of others without a curvature beside the rat's
-    usual one. At 4 distances by 4 angles of the middle of the reach; at 36 contacts that leave out
-    but a fiftieth at its ends (6 by 6 with angles) where the middle says less than a JND: the bias
-    is largest next to the tip.
+    Named whiskers taken as straight or as arcs are compared with their measured shape, others
+    without a curvature with the rat's usual one. First at 4 distances (by 4 angles) in the middle
+    of the reach; if the bias is below 1 JND there, at 36 (6 by 6) over all but a fiftieth at its
+    ends, as the bias is largest next to the tip.
     """
     cue, whisker = observer.cue, observer.whisker
     real = _at_rest(whisker) if _takes_curved(observer) else None
@@ -403,10 +395,10 @@ def of_shape_at_rest(observer: Any) -> float:
 
 
 def of_model(observer: Any, model: str) -> float:
-    """Largest bias that a model brings at 144 contacts in the reach, JNDs.
+    """Largest bias of a model at 144 contacts over the reach, less a fiftieth at its ends, JNDs.
 
-    All but a fiftieth at its ends: up to a tenth the bias was 0.1 JND where it is 0.8 beyond.
-    Infinite where it has contacts lost that are held: no distance beyond is possible to it.
+    Less a tenth it would be 0.1 JND where 0.8 was found. Infinite where the model loses a contact
+    that is stable: it rules that distance out.
     """
     each = 144 if observer.bounded == 1 else 12
     contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, each)))[0]
