@@ -1,30 +1,24 @@
 """Sweeps against objects: where a whisker touches as its base turns or moves, up to flick-past.
 
-§2g. The objects are a peg, a cylinder of finite radius and a flat wall. A whisker touches them with
-its flank, tangentially, or with its tip, whose force is normal to the object instead of the
-whisker; which of these it is changes along a sweep.
+§2g. The objects are a peg, a cylinder of finite radius and a flat wall. Flank and tip may alternate
+along a sweep (see `touch`). A whisker touches at one point: a sweep ends with `TOUCHES_TWICE` where
+it would lie a millionth of its length inside the object at another.
 
-The whisker touches at one point. One that is curved towards the object may touch it a second time,
-with its tip or with its flank: the sweep ends with `TOUCHES_TWICE` where the shape of one contact
-would take it a millionth of its length into the object elsewhere.
-
-Whisking is quasi-static here: the whisker is in balance at every angle, without inertia. It is
-then a good model where the base turns slowly (`analyses/gallery/quasi_static.py` says how slowly).
+Whisking is quasi-static: the whisker is in balance at every angle, without inertia, which holds
+where the base turns slowly (`analyses/gallery/quasi_static.py` says how slowly).
 
 The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
 the other way, and the deflection is positive. A base that travels instead moves towards −y.
 
-Last, how a contact moves along a whisker that is pushed on along an object (§2g): the same for
-straight and curved whiskers, with and without friction, which differ in the contact angle alone.
-
-In the frame of the base, with φ the direction of the whisker's tangent at the contact, β = φ − θ_d
-its angle to the line base → contact, and ρ the push angle: the contact moves along the tangent,
+`slid`, `rate_on_wall` and `Walls` say how a contact slips along a whisker (§2g). Curvature and
+friction enter by the contact angle alone: with φ the direction of the tangent at the contact in the
+frame of the base, β = φ − θ_d its angle to the line base → contact, and ρ the push angle, the
+contact moves along the tangent,
 
     r d(θ_d − ρ) = tan β dr,                                                            (slip)
 
-and the object's own tangent, φ − ρ in the world, is what the object lets it be: on a wall it does
-not turn, so that its contacts move at a rate that depends on the contact alone,
+and the object's tangent is φ − ρ in the world. On a wall it does not turn, so that
 
     dr/dρ = (1 − ∂φ/∂θ_d) / (∂φ/∂r + ∂φ/∂θ_d tan β / r).                                (wall)
 """
@@ -40,7 +34,7 @@ from numpy.typing import ArrayLike
 from .._util.checks import finite, kind, number
 from .._util.values import Array, Fields, Flags, member
 from ..whisker import Whisker
-from .contact import Bending, Outcome
+from .contact import NUMBERS, Bending, Outcome
 from .profile import bend
 from .shape import Profile
 from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
@@ -155,7 +149,7 @@ def sweep(
         )
     first = contact.first(float(angles[0]), float(angles[-1]))
     n = angles.size
-    found = np.full((3, n), np.nan)  # arc, force, tilt
+    found = np.tile([[1e-3], [0.0], [0.0]], n)  # arc, force, tilt
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
     tip = np.zeros(n, dtype=bool)
     ended, end, begin = Outcome.OUT_OF_REACH, np.nan, np.nan
@@ -177,18 +171,12 @@ def sweep(
             found[:, k] = (1.0, v[1], v[0]) if touch.tip else (min(v[0], 1.0), v[1], 0.0)
             outcome[k], tip[k] = Outcome.HELD, touch.tip
         end = now if ended is not Outcome.HELD else np.nan
-    held = outcome == Outcome.HELD
     base = profile.whisker
-    b = bend(
-        profile,
-        np.where(held, found[0], 1e-3) * base.length,
-        np.where(held, np.maximum(found[1], 0.0), 0.0) * base.force_scale,
-        np.where(held, found[2], 0.0) + friction_angle,
-    )
+    force = np.maximum(found[1], 0.0) * base.force_scale
+    b = bend(profile, found[0] * base.length, force, found[2] + friction_angle)
+    held = outcome == Outcome.HELD
     numbers: dict[str, Any] = {
-        name: np.where(held, value, np.nan)
-        for name, value in vars(b).items()
-        if name not in ("outcome", "model", "whisker")
+        name: np.where(held, getattr(b, name), np.nan) for name in (*NUMBERS, "error")
     }
     b = replace(b, **numbers, outcome=member(Outcome, outcome))
     turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)
@@ -225,7 +213,7 @@ def _advance(
         step /= 2
         if step <= smallest:
             break
-    # No further this way: something else is touched from here on, or the sweep ends.
+    # No equilibrium ahead: another kind of touch begins here, or the sweep ends.
     there = now + 4 * smallest
     solved = contact.solve(touch, v + last * step, there)
     change = contact.next_touch(touch, solved, there) if solved else None
@@ -245,9 +233,9 @@ def _advance(
 
 
 def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
-    """φ (...) from the direction of the force, which friction tilts; NaN of what is not held.
+    """φ (...) of contacts of a `ForwardModel`, from the direction of the force; NaN if lost.
 
-    `forward` is a `ForwardModel`. Where nothing is pressed, φ is that of the whisker at rest.
+    At no push φ is that of the whisker at rest.
     """
     signals, _ = forward.signals(r, np.maximum(theta - forward.rest(r), 1e-9))
     beta = np.arctan2(signals[..., 1], signals[..., 2]) - forward.friction - theta
@@ -257,10 +245,10 @@ def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
 def slid(
     forward: Any, r: Array, theta: Array, slip: Array, push: Array | float
 ) -> tuple[Array, Array]:
-    """r and θ_d (n,) after slips dr (n,) and pushes dρ: (slip), by the trapezoid rule."""
+    """r and θ_d (n,) after slips dr (n,) and pushes dρ: equation (slip), by the trapezoid rule."""
     start = slope(forward, r, theta)
     there = r + slip
-    # A contact that is not held has no slope of its own: it is lost, whatever is written here.
+    # Where contact is lost there is no slope: the value does not matter.
     end = slope(forward, there, theta + push + start * slip)
     mean = np.where(np.isfinite(end), (start + end) / 2, start)
     return there, theta + push + np.where(slip == 0, 0.0, mean * slip)
@@ -273,9 +261,9 @@ def slope(forward: Any, r: Array, theta: Array) -> Array:
 
 
 def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
-    """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held."""
+    """dr/dρ (n,) of contacts with a wall, m/rad: equation (wall); 0 where contact is lost."""
     r = np.clip(r, 1e-3 * forward.length, forward.reach)
-    # On this side of the largest angles and of the tip.
+    # One-sided differences, away from the largest angle and from the tip.
     step = 1e-5
     inwards = r * (1 - step)
     rest, beside = forward.rest(r), forward.rest(inwards)
@@ -294,9 +282,9 @@ def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
 class Walls:
     """Walls that a whisker meets: with its tip, at r, θ_d and β (n,), or with its flank at rest.
 
-    One at the angle β from the line base → tip at first contact is met by the tip until the whisker
-    is bent as much there, by the flank from then on. `rest` is the distance of a wall from the base
-    and the r (m,) at which the flank touches it.
+    A wall at the angle β to the line base → tip at first contact touches the tip until the bent
+    whisker has this β, then the flank. `rest` holds distances of walls from the base and the r at
+    which the flank touches them, (m,) each.
     """
 
     r: Array
@@ -306,7 +294,7 @@ class Walls:
 
     @classmethod
     def of(cls, forward: Any) -> Walls:
-        """Those of a `ForwardModel` whose tip is not pushed outwards by more than 0.01 rad."""
+        """Walls for a `ForwardModel` whose tip is not pushed outwards by more than 0.01 rad."""
         unknown = len({*forward.friction_range}) > 1 or len({*forward.offset_range}) > 1
         reach = forward.reach * (1 - 1e-12)
         if unknown or forward.limit(np.array([reach]))[0] > 0.01:
@@ -331,7 +319,7 @@ class Walls:
         return cls(r, theta, contact_angle(forward, r, theta) - theta, flank)
 
     def met(self, angle: Array) -> tuple[Array, Array]:
-        """r (n,) at which walls are met, and how far the tip is then turned, −∞ of the flank.
+        """r (n,) at which walls are met, and the turn up to which the tip touches; −∞: the flank.
 
         The sine of `angle` is a wall's distance from the base over that of the tip.
         """

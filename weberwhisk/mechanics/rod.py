@@ -99,8 +99,8 @@ def bend(
     `direction` is the angle of the force about the tangent at the contact, from the normal d₁, rad:
     0 pushes to +y as in the plane. `friction_angle` as for `profile.bend`; `plane` is the roll of
     the plane of intrinsic curvature about the base tangent, rad; `poisson_ratio` lies between −1
-    and 0.5. Stability is not judged when the force is given: `HELD` means in balance,
-    `FLICKED_PAST` marks loads that wind the rod up past resolving.
+    and 0.5. Stability is not tested when the force is given: `HELD` means in balance,
+    `FLICKED_PAST` a load under which the rod winds up too much to be resolved.
 
     Examples
     --------
@@ -112,10 +112,10 @@ def bend(
     s = positive("arc_length", arc_length, _METRES)
     size = finite("force", force, "give newtons, such as 1e-5")
     turn = finite("direction", direction, "give radians, 0 for the plane of curvature")
-    scenes = RodScenes.of(whisker, (s, size, turn), friction_angle, plane, poisson_ratio)
-    f = scenes.flat(size) / scenes.force
-    chi = scenes.flat(turn)
-    v = np.stack([scenes.flat(s) / scenes.length, f * np.cos(chi), f * np.sin(chi)])
+    scenes, (arc, f, chi) = RodScenes.of(
+        whisker, friction_angle, plane, poisson_ratio, length=s, force=size, direction=turn
+    )
+    v = np.stack([arc, f * np.cos(chi), f * np.sin(chi)])
     good = on_whisker(scenes.rows, v[0])
     outcome = np.where(good, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
     v[:, ~good] = [[0.5], [0.0], [0.0]]
@@ -138,12 +138,11 @@ def press(
 ) -> RodBending:
     """Press any whisker against a point (..., 3) in space, m, in the base frame.
 
-    The point is moved on its sphere about the base, along the great circle from where the resting
-    whisker meets that sphere, and the equilibrium followed for as long as it is stable, in all
-    directions: a whisker may leave its plane, sideways past the point, where a model of the plane
-    alone would have it held. `round_back` says that the point got there by the longer arc of that
-    circle, having been pushed by more than half a turn. The other arguments are those of `bend`,
-    the outcomes those of `profile.press`.
+    The point moves on a sphere about the base, along the great circle from where the whisker at
+    rest meets that sphere. The equilibrium is followed while it is stable in all directions: a
+    whisker may slip sideways past the point where the planar beam would stay in contact. With
+    `round_back` the point moved along the longer arc of that circle, by more than half a turn. The
+    other arguments are those of `bend`, the outcomes those of `profile.press`.
 
     Examples
     --------
@@ -158,18 +157,20 @@ def press(
             f"point must have three components, got shape {place.shape}; give (x, y, z) in metres."
         )
     r = positive("the point's distance", np.sqrt((place**2).sum(-1)), _METRES)
-    scenes = RodScenes.of(whisker, (r,), friction_angle, plane, poisson_ratio)
-    distance = scenes.flat(r) / scenes.length
-    target = np.stack([scenes.flat(place[..., k]) / scenes.length for k in range(3)]) / distance
+    x, y, z = np.moveaxis(place, -1, 0)
+    scenes, (distance, *point) = RodScenes.of(
+        whisker, friction_angle, plane, poisson_ratio, length=r, x=x, y=y, z=z
+    )
+    target = np.stack(point) / scenes.length / distance
     far = np.broadcast_to(np.asarray(round_back, dtype=bool), scenes.shape).reshape(-1)
     v, outcome = scenes.press(distance, target, far)
-    # Where no sliding contact gets, one without friction may hold: then friction holds it.
+    # Where contact without friction would be stable, friction has stopped the sliding.
     ended = np.flatnonzero((outcome == Outcome.FLICKED_PAST) & (scenes.friction != 0))
     if ended.size:
         slick = replace(scenes.take(ended), friction=np.zeros(ended.size))
         held = slick.press(distance[ended], target[:, ended], far[ended])[1] == Outcome.HELD
         outcome[ended[held]] = Outcome.STUCK
-    tolerance = 0.03 * tolerance  # towards the fold errors of the pass grow in the signals
+    tolerance = 0.03 * tolerance  # towards the fold, errors of the pass grow in the signals
     base = scenes.resolve(v, tolerance)
     held = outcome == Outcome.HELD
     for _ in range(6):
@@ -242,10 +243,10 @@ class Base:
         return np.concatenate([force, np.cross(self.seen(self.lever), force, axis=0)])
 
     def signal_error(self, off: Array | float = 0.0) -> Array:
-        """Bound on the relative error of the signals, which are `off` besides what the pass makes.
+        """Bound on the relative error of the signals, from the pass and an absolute error `off`.
 
-        The largest of those of axial force, transverse force, torsion and bending, each no less
-        than a thousandth of force or moment.
+        The largest over axial force, transverse force, torsion and bending, each compared with no
+        less than a thousandth of the force or moment.
         """
         now = np.abs(self.signals())
         force, moment = np.linalg.norm(now[:3], axis=0), np.linalg.norm(now[3:], axis=0)
@@ -264,6 +265,8 @@ class Base:
 
 @dataclass(frozen=True, eq=False)
 class RodScenes:
+    """Rods and their friction and rolled planes, flat and in natural units."""
+
     rows: Rows
     shape: tuple[int, ...]
     length: Array
@@ -277,24 +280,22 @@ class RodScenes:
     def of(
         cls,
         whisker: Whisker | Profile,
-        scenes: tuple[Array, ...],
         friction_angle: ArrayLike,
         plane: ArrayLike,
         poisson_ratio: float,
-    ) -> RodScenes:
+        **contact: ArrayLike,
+    ) -> tuple[RodScenes, list[Array]]:
+        """The rods, and the arguments of their contacts as `Scenes.of` gives them."""
         tilt = friction(friction_angle)
         roll = finite("plane", plane, "give radians, 0 for the xy plane")
         if not -1 < poisson_ratio <= 0.5:
             raise ValueError(
                 f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
             )
-        more = {f"argument_{k}": value for k, value in enumerate(scenes)}
-        made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **more)
-        length, force, (psi, turn) = made.length, made.force, made.given[:2]
-        return cls(made.rows, made.shape, length, force, psi, turn, 1 + poisson_ratio, made.whisker)
-
-    def flat(self, value: ArrayLike) -> Array:
-        return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
+        made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **contact)
+        psi, turn, *given = made.given
+        flat = made.rows, made.shape, made.length, made.force, psi, turn
+        return cls(*flat, 1 + poisson_ratio, made.whisker), given
 
     def take(self, index: Index) -> RodScenes:
         own = vars(self).items()
@@ -388,7 +389,7 @@ class RodScenes:
         n = v.shape[1]
         scale = self.scale(np.sqrt((target**2).sum(axis=0)))
         h = nudge * scale
-        # The size of friction has a cusp at no force: well within what is there.
+        # Friction has a cusp at zero force: steps stay well within the force.
         small = np.clip(1e-2 * np.hypot(v[1], v[2]) / scale[1], 1e-11, abs(nudge))
         h[1:] *= np.where(self.friction != 0, small / abs(nudge), 1.0)
         probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
@@ -399,12 +400,12 @@ class RodScenes:
         return target - both[:3, 0], slopes[:, :3], slopes[:, 3:]
 
     def onset(self, v: Array, distance: Array, pace: Array) -> Array:
-        """How v grows from rest with friction as the point is moved at `pace`, (3, n).
+        """Rate of v at rest with friction as the point moves at the rate `pace`, (3, n).
 
-        Force across the whisker moves the contact in proportion, its friction by the size of that:
-        slopes · v + cusp · |f| = pace, a quadratic in |f|. Zero where nothing slides.
+        The contact moves in proportion to the force f across the whisker, and by friction in
+        proportion to |f|: slopes · v + cusp · |f| = pace, a quadratic in |f|. Zero where stuck.
         """
-        there = distance * np.eye(3)[:, [0]]  # how far off it is makes no difference to slopes
+        there = distance * np.eye(3)[:, [0]]  # slopes do not depend on the target
         ahead, behind = (self._slopes(v, there, 2 * pilot(self.rows), h)[1] for h in (-1e-6, 1e-6))
         slopes, cusp = (ahead + behind) / 2, (ahead - behind)[:, :, 1].T / 2
         with np.errstate(all="ignore"):
@@ -416,7 +417,7 @@ class RodScenes:
             return np.where(a > 0, np.nan_to_num(smooth + size * leaning), 0.0)
 
     def moved(self, v: Array, target: Array, base: Base) -> Array:
-        """What the signals (6, n) are off by as the contacts are off `target`, at most."""
+        """Bound on the errors of the signals (6, n) from the contacts' misses of `target`."""
         miss, places, signals = self._slopes(v, target, base.steps)
         slopes = np.nan_to_num(signals @ np.linalg.pinv(places))
         off = (base.error + ROUNDING) * np.linalg.norm(target, axis=0)
@@ -426,7 +427,7 @@ class RodScenes:
     def press(self, distance: Array, target: Array, round_back: Flags) -> tuple[Array, Codes]:
         """Equilibria by continuation along the great circle from rest to the unit `target`.
 
-        Where `round_back`, by its longer arc.
+        Along the longer arc of the circle where `round_back`.
         """
         n = distance.size
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)

@@ -1,8 +1,7 @@
-"""The ways in which a whisker touches a body, and the equations of each: inside `objects`.
+"""How a whisker touches a body, with its flank or its tip, and the equations of both.
 
-A whisker touches a circle or a wall with its flank, tangentially, or with its tip, whose force is
-normal to the object instead of the whisker. The unknowns are two: contact arc and force, or for the
-tip its tilt into the object and the force.
+The flank touches a circle or a wall tangentially. At the tip the force is normal to the object, not
+to the whisker. Two unknowns: contact arc and force, or the tip's tilt into the object and force.
 """
 
 from __future__ import annotations
@@ -78,16 +77,13 @@ class Touch:
     tip: bool
 
 
-State = tuple[Array, Array, Array, Array, Array]
-
-
 @dataclass(frozen=True)
 class TouchSolution:
-    """A point v, the sign of the Jacobian there, and the state up to Newton's last step."""
+    """A point v, the sign of the Jacobian there, and the force before Newton's last step."""
 
     point: Array
     sign: float
-    state: tuple[float, ...]
+    force: float
 
 
 class TouchedBody:
@@ -123,8 +119,8 @@ class TouchedBody:
         y = y - shift
         return float(np.max(self.body.depth(c * x + s * y, c * y - s * x)))
 
-    def state(self, touch: Touch, v: Array) -> State:
-        """Contact x, y and angle, the angle of the object's tangent there, and the force."""
+    def state(self, touch: Touch, v: Array) -> tuple[Array, Array, Array]:
+        """Contact x and y, and the angle of the object's tangent there."""
         m = v.shape[1]
         arc = np.ones(m) if touch.tip else np.minimum(v[0], 1.0)
         tilt = v[0] if touch.tip else np.zeros(m)
@@ -133,11 +129,11 @@ class TouchedBody:
             path = follow(rows, arc, np.abs(v[1]), tilt + self.friction, 5 * pilot(rows))
         angle, (c, s) = path.angle, (np.cos(path.angle), np.sin(path.angle))
         x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
-        return x, y, angle - tilt - self.friction, angle - self.friction, v[1]
+        return x, y, angle - self.friction
 
-    def miss(self, state: State, at: float) -> Array:
+    def miss(self, touch: Touch, v: Array, at: float) -> Array:
         """The two equations, (2, m)."""
-        x, y, _, tangent, _ = state
+        x, y, tangent = self.state(touch, v)
         corner = self.seen(self.corners[0], at)
         off_x = x + self.radius * np.sin(tangent) - corner[0]
         off_y = y - self.radius * np.cos(tangent) - corner[1]
@@ -147,13 +143,12 @@ class TouchedBody:
         return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
 
     def solve(self, touch: Touch, v: Array, at: float) -> TouchSolution | None:
-        """Newton's method; the point, the sign of its Jacobian and its state, or None."""
+        """The solution by Newton's method, or None."""
         step = 1e-6
         for _ in range(7):
             f_step = step * max(1.0, abs(v[1]))
             probes = v[:, None] + np.array([[0, -step, 0], [0, 0, f_step]])
-            state = self.state(touch, probes)
-            f = self.miss(state, at)
+            f = self.miss(touch, probes, at)
             if not np.all(np.isfinite(f)):
                 return None
             jacobian = np.stack([(f[:, 0] - f[:, 1]) / step, (f[:, 2] - f[:, 0]) / f_step], axis=1)
@@ -161,18 +156,16 @@ class TouchedBody:
             if det == 0:
                 return None
             move = np.linalg.solve(jacobian, f[:, 0])
-            v = v - move
+            force, v = float(v[1]), v - move
             if abs(move[0]) > 0.3 or not np.all(np.isfinite(v)):
                 return None
-            # The next step would be smaller than this one by what the quotients are off, 1e-4.
+            # The next step would be 1e-4 of this one, the error of the difference quotients.
             if np.max(np.abs(move) / np.maximum(np.abs(v), [1.0, 0.1])) < 1e-7:
-                return TouchSolution(
-                    v, float(np.sign(det)), tuple(float(part[0]) for part in state)
-                )
+                return TouchSolution(v, float(np.sign(det)), force)
         return None
 
     def next_touch(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
-        """None if this touch is valid, else what it turns into, or what it ends by."""
+        """None if this touch is valid, else the touch that follows or the outcome that ends it."""
         first, force = found.point
         if not touch.tip and first > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
@@ -184,11 +177,11 @@ class TouchedBody:
         return Outcome.TOUCHES_TWICE if twice else None
 
     def _overlap(self, touch: Touch, found: TouchSolution, at: float) -> float:
-        """How deep in the object the whisker lies elsewhere: a straight one never does."""
+        """Depth of the deepest part of the bent whisker in the object, in lengths."""
         v, whisker = found.point, self.profile.whisker
         held = (1.0 if touch.tip else min(float(v[0]), 1.0)) * float(whisker.length)
         tilt = self.friction + (float(v[0]) if touch.tip else 0.0)
-        push = abs(found.state[-1]) * float(whisker.force_scale)
+        push = abs(found.force) * float(whisker.force_scale)
         ends = np.linspace(0, held, 200), np.linspace(held, float(whisker.length), 100)
         arc = np.unique(np.concatenate(ends))
         _, x, y = bent_shape(self.profile, arc, held, push, tilt) / float(whisker.length)
@@ -203,9 +196,9 @@ class TouchedBody:
                 f"The whisker must start clear of the object, got it inside at {begin:g} "
                 f"{'lengths' if self.translates else 'rad'}; start from further back."
             )
-        # What is swept, and when, by its place along: outwards, or ahead.
+        # Which parts of the whisker reach which places, and when: by radius, or by x.
         along, across = (x, y) if self.translates else (np.hypot(x, y), np.arctan2(y, x))
-        top = int(np.argmax(along)) + 1  # a whisker that curls back is touched before it does
+        top = int(np.argmax(along)) + 1  # parts that curl back are never the first to touch
         places = self._outline(along[top - 1])
         out, high = places if self.translates else (np.hypot(*places), np.arctan2(*places[::-1]))
         reach = (out > 0) & (out <= along[top - 1] * (1 + 1e-12))
@@ -219,7 +212,7 @@ class TouchedBody:
         if first > end:
             return None
         turned = self.pose(first)[0]
-        glancing = None  # a curved flank on an edge, whose point of touch lies between two of ours
+        glancing = None  # a curved flank on an edge that touches between two points of the table
         for at in np.flatnonzero(needed <= first + 1e-10):
             arc = float(np.interp(out[at], along[:top], s[:top]))
             tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
@@ -241,11 +234,11 @@ class TouchedBody:
         corner = self.corners[0]
         if not self.is_wall:
             t = np.linspace(-np.pi, np.pi, 4001 if self.radius else 1)
-            if self.radius:  # and where the circle leaves the whisker's reach, to the tip
+            if self.radius:  # and where the circle leaves the reach, which the tip touches
                 t = np.append(t, self._crossings(corner, reach))
             return np.asarray(corner[:, None] + self.radius * np.stack([-np.sin(t), np.cos(t)]))
         edge = np.array([np.cos(self.edge), np.sin(self.edge)])
-        # Where the wall leaves the whisker's reach is where a tip would meet it.
+        # The tip touches the wall where the wall leaves the reach.
         if self.translates:
             low, high = np.sort((np.array([0.0, reach]) - corner[0]) / (edge[0] or 1e-12))
         else:
@@ -253,12 +246,11 @@ class TouchedBody:
             half = np.sqrt(max(reach**2 - gap**2, 0.0))
             low, high = middle - half, middle + half
         span = np.hypot(*(self.corners[1] - corner))
-        return np.asarray(
-            corner[:, None] + np.clip(np.linspace(low, high, 4001), 0, span) * edge[:, None]
-        )
+        along = np.clip(np.linspace(low, high, 4001), 0, span)
+        return np.asarray(corner[:, None] + along * edge[:, None])
 
     def _crossings(self, corner: Array, reach: float) -> Array:
-        """Tangents' angles at which the circle is as far as the whisker reaches."""
+        """Tangent angles at which the circle leaves the reach."""
         size, bearing = float(np.hypot(*corner)), float(np.arctan2(corner[1], corner[0]))
         if self.translates:
             share, at = (corner[0] - reach) / self.radius, 0.0
