@@ -27,8 +27,8 @@ __all__ = [
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     """Bend a straight whisker by a force (N) at an arc length (m), at small angle.
 
-    `HELD` wherever the contact is on the whisker: this model knows no flick-past, and its `error`
-    says how far it can be trusted.
+    `HELD` wherever the contact is on the whisker: this model has no flick-past. `error` estimates
+    the relative error of the signals against the elastica.
     """
     return by_rows(_bend, Model.CLOSED_FORM, whisker, arc_length, force)
 
@@ -45,8 +45,8 @@ def _bend(
 def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
     """Press a straight whisker against a point (m, rad), at small angle: equation (2.3).
 
-    `HELD` wherever the contact is on the whisker, as for `bend`. Where a push next to the tip
-    slides it off, the `error` is 1: there is nothing to be relied on.
+    `HELD` wherever the contact is on the whisker, as for `bend`. `error` is 1 where the push would
+    slide the contact off the tip.
     """
     return by_rows(_press, Model.CLOSED_FORM, whisker, radial_distance, deflection_angle)
 
@@ -74,7 +74,7 @@ def _place(length: Array, taper: Array, r: Array) -> tuple[Array, Flags]:
 def _result(
     r: Array, theta: Array, contact_angle: Array, force: Array, lost: Flags
 ) -> tuple[Array, Codes, Array]:
-    with np.errstate(over="ignore"):  # of loads beyond belief: the error says so
+    with np.errstate(over="ignore"):  # at absurd loads, where the error is 1
         axial = force * contact_angle
         square = contact_angle**2
         # Largest relative error of any signal (the transverse force's), for every taper and
@@ -89,25 +89,21 @@ def _result(
 def moment(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Array:
     """M = 3EI₀ θ_d (1/r − 1/A), N m: equation (2.3)."""
     refuse_hinge(whisker, "The closed form")
-    inverse_apex = np.divide(whisker.taper, whisker.length)
-    return (
-        whisker.compliance_constant
-        * np.asarray(deflection_angle)
-        * (1 / np.asarray(radial_distance) - inverse_apex)
-    )
+    push = whisker.compliance_constant * np.asarray(deflection_angle)
+    return push * (1 / np.asarray(radial_distance) - np.divide(whisker.taper, whisker.length))
 
 
 def signal_jacobian(
     whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
 ) -> Array:
-    """Derivatives (..., 3, 2) of M, Fx, Fy to r and θ_d at small angle.
+    """Derivatives (..., 3, 2) of M, Fx, Fy with respect to r (m) and θ_d (rad) at small angle.
 
-    Of M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
+    M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
     """
     refuse_hinge(whisker, "The closed form")
     r, theta = np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
-    push, u = whisker.compliance_constant * theta, r * np.divide(whisker.taper, whisker.length)
-    stiff = whisker.compliance_constant
+    stiff, u = whisker.compliance_constant, r * np.divide(whisker.taper, whisker.length)
+    push = stiff * theta
     rows = [
         [-push / r**2, stiff * (1 - u) / r],
         [-push * theta * (3 - u) / r**3, push * (3 - 2 * u) / r**2],
@@ -119,7 +115,7 @@ def signal_jacobian(
 def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: ArrayLike) -> Array:
     """Radial distance (m) from moment and deflection angle, or from their rates: equation (2.1).
 
-    r = Cθ A/(Cθ + M A); beyond the tip where the moment is too small for the whisker.
+    r = Cθ A/(Cθ + M A), which lies beyond the tip where the moment is too small for this whisker.
 
     Examples
     --------
@@ -138,9 +134,9 @@ def contact_from_signals(
 ) -> tuple[Array, Array]:
     """Radial distance (m) and deflection angle (rad) from moment and axial force (compression).
 
-    At small angle: the inverse of M²/(2EI₀Fx) = 3(1−u)²/(3−2u): §2f in closed form. NaN where no
-    contact on this whisker gives such signals, as for every reading on a cylinder, whose map is a
-    single curve.
+    At small angle: the inverse of M²/(2EI₀Fx) = 3(1−u)²/(3−2u), §2f in closed form. NaN where no
+    contact on this whisker gives such signals, and always on a cylinder, whose signals lie on one
+    curve.
 
     Examples
     --------

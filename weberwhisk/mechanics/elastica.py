@@ -7,15 +7,15 @@ u = s/A (A the apex distance) and the load, given as the contact angle that the 
 would predict, ℓ = F s²(3−2u) / (6EI₀(1−u)²). Cylinders are the edge u = 0, the perfect cone
 touched at its tip the edge u = 1, and the whole map is analytic in between.
 
-The map is held as two faces, each a Chebyshev table of logarithms of ratios to the closed form:
+The map has two faces, each a Chebyshev table of logarithms of ratios to the closed form:
 
 - *force given*: (u, (ℓ/ℓ_cap)²) → contact angle, height, shortening;
 - *contact given*: (v = r/A, c = √(1 − (θ_d/θ_fold)²)) → force, contact angle, arc length. The
   square root unfolds the fold at which an object at r flicks past: no root has to be found.
 
-``analyses/build_elastica_map.py`` computes both; they are shipped as ``elastica_map.npz``. Their
-relative error is 1e-12, to which the tests hold them against an independent integrator. `Surface`
-takes the map to the signals of one whisker, for observers.
+``analyses/build_elastica_map.py`` computes both, ``elastica_map.npz`` stores them. Their relative
+error is 1e-12, tested against an independent integrator. `Surface` evaluates the map for one
+whisker, for observers.
 """
 
 from __future__ import annotations
@@ -59,8 +59,7 @@ def nodes(n: int) -> Array:
 def basis(n: int, x: Array) -> Array:
     """The first `n` Chebyshev polynomials of 2x − 1, shape (n, len(x)).
 
-    Built by doubling, T_{k+j} = 2 T_k T_j − T_{k−j}: few NumPy calls, so that a single point is
-    as cheap as the call overhead allows.
+    Built by doubling, T_{k+j} = 2 T_k T_j − T_{k−j}, in few NumPy calls.
     """
     out = np.empty((n, x.size))
     out[0] = 1.0
@@ -77,10 +76,10 @@ def basis(n: int, x: Array) -> Array:
 
 
 def product(matrix: Array, columns: Array, block: int = 256) -> Array:
-    """Their matrix product, in blocks of columns that BLAS multiplies on one thread.
+    """The matrix product, in blocks of columns so small that BLAS uses one thread.
 
-    Its own threads cost up to sixty times what they save on a matrix of some ten rows, as they wait
-    for each other where another process has a core; and callers have threads of their own.
+    On a matrix of some ten rows BLAS threads cost up to sixty times what they save where another
+    process has a core.
     """
     size = columns.shape[1]
     whole = size - size % block
@@ -194,9 +193,9 @@ def the_map() -> Map:
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     """Bend a straight whisker by a force (N) at an arc length (m), as `weberwhisk.bend` does.
 
-    `PAST_FOLD` is an equilibrium at the given force that an object fixed in space could no longer
-    hold; `FLICKED_PAST` marks loads beyond the map. Relative error about 1e-12, for every taper
-    from the cylinder to the perfect cone.
+    `PAST_FOLD`: in balance at this force, but an object fixed in space would have been flicked
+    past. `FLICKED_PAST`: a load beyond the map. Relative error about 1e-12, for every taper from
+    the cylinder to the perfect cone.
     """
     return by_rows(_bend, Model.ELASTICA, whisker, arc_length, force)
 
@@ -230,9 +229,8 @@ def _bend(
 def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
     """Press a straight whisker against a point (m, rad), as `weberwhisk.press` does.
 
-    Relative error about 1e-12. Within a fraction ε of the fold angle the signals themselves go as
-    √ε, so that the last digits of the angle cost twice as many of the signals; `Bending.error`
-    carries this.
+    Relative error about 1e-12. Within a fraction ε of the fold angle the signals vary as √ε, so
+    that rounding of the angle matters more there; `Bending.error` includes this.
     """
     return by_rows(_press, Model.ELASTICA, whisker, radial_distance, deflection_angle)
 
@@ -297,7 +295,7 @@ def _numbers(
 
 
 def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
-    """The largest deflection angle at a radial distance (m), and why it ends."""
+    """The largest deflection angle (rad) at a radial distance (m), and what ends the contact."""
     refuse_hinge(whisker, "flick_past")
     shape, (length, taper, _, r) = flat_with(whisker, radial_distance)
     angle, c_end, fold_angle, c_peak = in_pieces(limits, length, taper, r)
@@ -306,19 +304,15 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     ended = np.where(c_end > 0, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
     ended = np.where(beyond, Outcome.OUT_OF_REACH, ended).astype(np.int8).reshape(shape)
 
-    def at(theta: Array) -> Bending:
-        return press(whisker, radial_distance, theta.reshape(shape))
-
-    return FlickPast(
-        angle.reshape(shape)[()],
-        member(Outcome, ended),
-        at(np.where(beyond, 0.0, angle)),
-        at(peak_angle),
+    ends = (
+        press(whisker, radial_distance, theta.reshape(shape))
+        for theta in (np.where(beyond, 0.0, angle), peak_angle)
     )
+    return FlickPast(angle.reshape(shape)[()], member(Outcome, ended), *ends)
 
 
 def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:
-    """Largest angle, c there, fold angle and c at the moment peak, at each r (n,)."""
+    """Largest angle, its c, fold angle, and c at the moment peak, at each r (n,)."""
     table = the_map()
     v = r / length * taper
     beyond = beyond_tip(r, length, v)
@@ -327,8 +321,8 @@ def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, 
     scaled_angle, c_peak = table.fold(x)
     fold_angle = (1 - v) * scaled_angle
 
-    # The extra arc length θ²/(1−v)·exp(g) of the contact grows all the way to the fold. Where it
-    # would pass the tip first, c solves ln(1−c²) + g(x, c) = ln of the room left there.
+    # The extra arc length θ²/(1−v)·exp(g) grows up to the fold. Where it reaches the tip first, c
+    # solves ln(1−c²) + g(x, c) = ln(room up to the tip).
     c_end = np.zeros_like(v)
     room = (length - r) / r * (1 - v) / fold_angle**2
     tip = ~beyond & (np.exp(table.contact_given(x, c_end)[2]) > room)
@@ -349,7 +343,7 @@ def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, 
 def signal_jacobian(
     whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
 ) -> Array:
-    """Derivatives of the base signals to the contact, as `mechanics.signal_jacobian` has."""
+    """Derivatives (..., 3, 2) of the base signals, as `mechanics.signal_jacobian` returns."""
     refuse_hinge(whisker, "signal_jacobian")
     shape, flat = flat_with(whisker, radial_distance, deflection_angle)
     slopes = in_pieces(_signal_jacobian, *flat)
@@ -408,9 +402,9 @@ def _signal_jacobian(
 
 
 class Surface:
-    """Moment, axial and transverse force of one straight whisker (of numbers) at any contact.
+    """Moment, axial and transverse force of one straight whisker (scalar fields) at any contact.
 
-    As `press` has them, up to `limit`, the largest angle at each distance.
+    The signals are those of `press`, up to `limit`, the largest angle at each distance.
 
     Examples
     --------
@@ -428,18 +422,17 @@ class Surface:
         def at(r: Array) -> tuple[Array, Array]:
             return limits(np.full_like(r, self.length), np.full_like(r, self.taper), r)[:2]
 
-        # Up to some distance the fold ends contacts, from there on the tip.
+        # Distance from which on the tip, not the fold, ends contacts: by bisection.
         low, high = np.array([1e-3 * self.length]), np.array([self.length])
         for _ in range(54):
             middle = (low + high) / 2
             tip = at(middle)[1] > 0
             low, high = np.where(tip, low, middle), np.where(tip, middle, high)
         self.tip_from = float(high[0])
-        # There θ²/(L − r) is smooth; enough nodes for the error to be rounding, cylinder to cone.
+        # There θ²/(L − r) is smooth: 24 nodes suffice to rounding, from cylinder to cone.
         r = self.tip_from + (self.length - self.tip_from) * nodes(24)
         room = self.length - r
-        # Of a whisker that all but ends in a point no distance is left between the fold's end and
-        # the tip: no room, no angle.
+        # On a whisker that almost ends in a point the fold ends contacts up to the tip: no room.
         self._tip = Curve(fit(np.where(room > 0, at(r)[0] ** 2 / (room + (room == 0)), 0)[:, None]))
 
     def limit(self, radial_distance: Array) -> Array:

@@ -4,11 +4,10 @@
 
     (EI y″)″ = ω² m(s) y,   m = ρ π (a² − core²),
 
-of any profile: Rayleigh–Ritz on twice integrated Legendre polynomials (the curvature is a
-polynomial), over the pieces' own Gauss points. The basis meets the clamped end exactly and the
-free end by itself, so that the frequencies converge from above, exponentially for a whisker of
-one piece, and a perfect cone needs no special case. Intrinsic curvature is left out, as whiskers
-are nearly straight over a mode's wavelength.
+of any profile, by Rayleigh and Ritz's method on twice integrated Legendre polynomials, with Gauss's
+rule on each piece. The basis satisfies the clamped end exactly and the free end naturally: the
+frequencies converge from above, exponentially for a whisker of one piece, and a perfect cone needs
+no special case. Intrinsic curvature is left out: whiskers are nearly straight over a wavelength.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ class Modes(Line):
     def base_moment(self) -> Array:
         """Moment at the base, N m per unit modal coordinate, shape (n,): ω² ∫ m φ_n s ds.
 
-        The inertia's moment: equal to EI(0) φ_n″(0), and more accurate where a profile has kinks.
+        Equal to EI(0) φ_n″(0), and more accurate where a profile has kinks.
         """
         return self._inertia(1)
 
@@ -89,7 +88,7 @@ class Modes(Line):
         return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
 
     def derivative(self, arc_length: ArrayLike, order: int) -> Array:
-        """Derivatives of the shapes to the arc, of order 0 to 2, shape (n, ...)."""
+        """Derivatives of the shapes with respect to arc length, order 0 to 2, shape (n, ...)."""
         length = self.profile.whisker.length
         s = finite("arc_length", arc_length, "give metres, such as 35e-3")
         if np.any((s < 0) | (s > length * (1 + 1e-12))):
@@ -134,11 +133,10 @@ def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
 
 
 def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
-    """The profile of one whisker; several are refused by what is called `name`."""
+    """The profile of one whisker; several are refused, with the function's `name`."""
     profile = Profile.of(whisker)
     fields = (profile.radius[0], profile.whisker.density, profile.whisker.youngs_modulus)
-    shape = np.broadcast_shapes(*map(np.shape, fields))
-    if shape:
+    if shape := np.broadcast_shapes(*map(np.shape, fields)):
         raise ValueError(
             f"{name}() takes one whisker at a time, got an array of shape {shape}; "
             "call it for each."
@@ -147,7 +145,7 @@ def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
 
 
 def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> tuple[Array, Array]:
-    """ω (count,) and shapes (size, count) of unit modal mass; clamped, and perhaps `held`."""
+    """ω (count,) and shapes (size, count) of unit modal mass; pinned at the arc `held` if given."""
     length = float(profile.whisker.length)
     s, weight = gauss(profile.arc if held is None else np.append(profile.arc, held), size + 8)
     bent, moved = basis(s / length, size, 2) / length**2, basis(s / length, size, 0)
@@ -157,7 +155,7 @@ def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> 
         bent, moved = free.T @ bent, free.T @ moved
     stiffness = (bent * (weight * profile.stiffness(s))) @ bent.T
     mass = (moved * (weight * profile.line_density(s))) @ moved.T
-    # Scaled to a unit diagonal, which keeps a thin tip's rows from drowning.
+    # Scaled to a unit diagonal, so that rounding does not swamp the rows of a thin tip.
     scale = 1 / np.sqrt(np.diag(stiffness))
     last = len(scale)
     # The larger form on the right: its inverse's largest eigenvalues are the lowest frequencies.
@@ -171,12 +169,11 @@ def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> 
 
 
 def gauss(knots: Array, n: int) -> tuple[Array, Array]:
+    """Nodes and weights of Gauss and Legendre's rule of n points between successive knots."""
     x, w = legendre.leggauss(n)
-    knots = np.sort(knots)
-    gaps = np.diff(knots)
-    keep = gaps > 0
-    start, gap = knots[:-1][keep], gaps[keep]
-    return ((x + 1) / 2 * gap[:, None] + start[:, None]).ravel(), (w / 2 * gap[:, None]).ravel()
+    knots = np.unique(knots)
+    start, gap = knots[:-1, None], np.diff(knots)[:, None]
+    return ((x + 1) / 2 * gap + start).ravel(), (w / 2 * gap).ravel()
 
 
 def basis(x: Array, size: int, order: int) -> Array:

@@ -1,8 +1,8 @@
-"""What a whisker is like along its arc: radius, hollow core, intrinsic curvature.
+"""A whisker along its arc: radius, hollow core, intrinsic curvature.
 
-A `Profile` is a chain of pieces along which the radius is linear in the arc: one piece is the
-linear taper (whole, or cut at any length), several are a tabulated radius; a second table hollows
-it (the medulla). Intrinsic curvature is one of two laws, each with a closed form.
+The radius of a `Profile` is linear in arc length on each piece: one piece is a linear taper, more
+are a tabulated radius. A second table is the hollow core (the medulla). Intrinsic curvature is one
+of two laws, each with a closed form.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 __all__ = ["Law", "Parabola", "Profile", "Spiral", "bent_shape"]
 
 _METRES = "give metres, such as 5e-3"
-_TABLES = ("arc", "radius", "core")
 _PER_METRE = "give 1/m, such as 20, or 0 for none"
 
 
@@ -46,10 +45,10 @@ class Spiral(Value):
 
     @classmethod
     def through(cls, x: ArrayLike, y: ArrayLike) -> Spiral:
-        """The law nearest to points on a whisker at rest, in any frame whose y is to the left of x.
+        """Fit the law to points on a whisker at rest by least squares of distances.
 
-        By least squares of distances, the arc being that of the line through all points. In an
-        image, whose y runs down, write −y. Tracked videos go to `tracked_signals` as they are.
+        The frame has y to the left of x: in an image, whose y runs down, write −y. Arc lengths are
+        those of the polygon through all points. `tracked_signals` takes tracked videos as they are.
 
         Parameters
         ----------
@@ -100,7 +99,7 @@ class Spiral(Value):
         return np.asarray(arc * (self.base + self.rate * arc / 2))
 
     def point(self, arc: Array) -> tuple[Array, Array]:
-        """Where the points at the arc lengths `arc` (n,) lie: on a circle, or by quadrature."""
+        """x and y (n,) at the arc lengths `arc` (n,): of a circle, or by quadrature."""
         if not np.any(self.rate):
             half = self.turn(arc) / 2
             chord = arc * np.sinc(half / np.pi)
@@ -111,7 +110,7 @@ class Spiral(Value):
         return w @ np.cos(turn) * arc / 2, w @ np.sin(turn) * arc / 2
 
     def scaled(self, length: Array, sign: Array | float = 1.0) -> Spiral:
-        """The law with `length` as unit, mirrored where `sign` is −1."""
+        """The law in units of `length`, mirrored where `sign` is −1."""
         return Spiral(self.base * length * sign, self.rate * length**2 * sign)
 
 
@@ -140,7 +139,7 @@ class Parabola(Value):
         return np.arctan(self._slope(arc))
 
     def point(self, arc: Array) -> tuple[Array, Array]:
-        """Where the points at the arc lengths `arc` (n,) lie."""
+        """x and y (n,) at the arc lengths `arc` (n,)."""
         straight = np.asarray(2 * self.coefficient * arc)
         x = arc * np.divide(
             self._slope(arc), straight, out=np.ones_like(straight), where=straight != 0
@@ -148,14 +147,14 @@ class Parabola(Value):
         return x, self.coefficient * x**2
 
     def scaled(self, length: Array, sign: Array | float = 1.0) -> Parabola:
-        """The law with `length` as unit, mirrored where `sign` is −1."""
+        """The law in units of `length`, mirrored where `sign` is −1."""
         return Parabola(self.coefficient * length * sign)
 
     def _slope(self, arc: Array) -> Array:
         """t = 2ax at arc s: t√(1+t²) + asinh t = 4as."""
         sigma = np.asarray(2 * self.coefficient * arc)
-        # A fit good to 2e-4 for every σ = 2as, in a variable that has its branch points where t has
-        # them (σ = ±iπ/4) and its growth; one step of Halley's method makes that 1e-12.
+        # A fit good to 2e-4 for every σ = 2as, in a variable with the branch points (σ = ±iπ/4) and
+        # the growth of t; one step of Halley's method makes that 1e-12.
         z = np.sqrt(np.sqrt(1 + (sigma * (4 / np.pi)) ** 2))
         t = sigma * (1.02674404 + z * (1.82957611 + z * 0.03793815))
         t /= 1 + z * (0.72496427 + z * (1.14584214 + z * 0.02377654))
@@ -171,13 +170,13 @@ Law = Spiral | Parabola
 class Profile(Value):
     """A whisker whose stiffness and curvature vary along the arc in any way.
 
-    Make one with `of`, `tabulated`, and change it with `cut`, `hollow`, `curved`.
+    `of` and `tabulated` make one; `cut`, `hollow` and `curved` change it.
 
     Parameters
     ----------
     whisker : Whisker
-        Length, base radius, modulus and density, which set the scales of results; of its tip
-        radius and curvature the tables below take the place.
+        Length, base radius, modulus and density, which set the scales of results. The tables below
+        replace its tip radius and curvature.
     arc : array, shape (k, ...)
         Arc length of the knots, m, ascending from 0 to the length. A knot given twice makes a step.
     radius, core : array, shape (k, ...)
@@ -198,8 +197,8 @@ class Profile(Value):
         refuse_hinge(self.whisker, "A Profile")
         hint = "write ww.mechanics.Spiral(20.0), say"
         kind("law", self.law, "a Spiral or a Parabola", "turn", hint)
-        tables = {name: finite(name, getattr(self, name), _METRES) for name in _TABLES}
-        self._set(**tables)
+        for name in ("arc", "radius", "core"):
+            self._set(**{name: finite(name, getattr(self, name), _METRES)})
 
     @classmethod
     def of(cls, whisker: Whisker | Profile) -> Profile:
@@ -289,14 +288,11 @@ class Profile(Value):
                 f"A whisker of {np.min(self.whisker.length):g} m cannot be cut at "
                 f"{np.max(end):g} m; give a length up to its own."
             )
-        arc, radius, core, end = np.broadcast_arrays(self.arc, self.radius, self.core, end[None])
-        flat = np.array(
-            [
-                [np.interp(np.minimum(s, e[0]), s, table) for table in (s, a, c)]
-                for s, a, c, e in zip(*(_columns(v) for v in (arc, radius, core, end)), strict=True)
-            ]
-        )
-        kept = np.moveaxis(flat, 0, -1).reshape(3, *arc.shape)
+        tables = np.stack(np.broadcast_arrays(self.arc, self.radius, self.core, end[None]))
+        kept = np.empty_like(tables[:3])
+        for at in np.ndindex(tables.shape[2:]):
+            s, a, c, e = tables[:, :, *at]
+            kept[:, :, *at] = [np.interp(np.minimum(s, e), s, table) for table in (s, a, c)]
         old = self.whisker
         whisker = replace(old, length=kept[0, -1], tip_radius=np.minimum(kept[1, -1], kept[1, 0]))
         return replace(self, whisker=whisker, arc=kept[0], radius=kept[1], core=kept[2])
@@ -392,7 +388,3 @@ def bent_shape(
     angle, x, y = np.concatenate([found, beyond], axis=1)
     based = (x - x[0] + 1j * (y - y[0])) * np.exp(-1j * angle[0])
     return np.array([angle - angle[0], based.real, based.imag])
-
-
-def _columns(table: Array) -> list[Array]:
-    return list(np.moveaxis(table.reshape(len(table), -1), 1, 0))
