@@ -29,19 +29,19 @@ __all__ = ["AngleSideAngle", "ContactAndDetachment", "TwoWhiskers"]
 class AngleSideAngle(Cue):
     """Radial distance from the angles of an object seen from two ends of a known side (§2c, i).
 
-    The base is carried from one place to another between two whisks, by a side of known length;
-    at each the angle of first contact is sensed, between the side and the whisker. Radial distance
-    is from the second place, r = side·sin(first)/sin(second − first). The object's bearing, the
-    true second angle, is not known either.
+    Between two whisks the base moves by a side of known length. At both places the angle of first
+    contact, between the side and the whisker, is sensed. Radial distance is counted from the second
+    place: r = side·sin(first)/sin(second − first). The object's bearing, which is the true second
+    angle, is unknown too.
 
     Parameters
     ----------
     side : float
         Length of the side, m.
     side_sd : float
-        How well it is known, m; above 0 the side is a third unknown with a normal prior.
+        Sd of the side, m. Above 0 the side is a third unknown with a normal prior.
     bearings : (float, float)
-        Bearings that are possible, rad, all equally likely.
+        Range of possible bearings, rad; their prior is flat.
 
     Raises
     ------
@@ -51,9 +51,9 @@ class AngleSideAngle(Cue):
 
     Notes
     -----
-    The method works where the straight whisker reaches the object from both places: out to where it
-    still does at every bearing (and, of a side that is not known, up to 4 sd beyond its mean). Far
-    out the lines of sight are nearly parallel, and the JND grows as r²/side.
+    The method works at distances that the straight whisker reaches from both places at every
+    bearing (with an unknown side, also 4 sd beyond its mean). At large distances the lines of sight
+    are nearly parallel, and the JND grows as r²/side.
 
     Examples
     --------

@@ -33,8 +33,8 @@ class ForceMap(Cue):
 
     Moment M and axial force Fx, the paper's pair, are one-to-one with the contact on a tapered
     whisker; on a cylinder M² = 2EI·Fx at every contact, so that the map collapses to a curve and
-    the posterior to a ridge. With the transverse force Fy (Scholz & Rahn 2004) either of the
-    others will do, on a cylinder too. At a known angle the moment is enough.
+    the posterior to a ridge. The transverse force Fy (Scholz & Rahn 2004) with either of the others
+    is one-to-one on a cylinder too. At a known angle the moment is enough.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ class ForceMap(Cue):
     Raises
     ------
     ValueError
-        For a signal that there is not, none or one twice, and an angle that is not positive.
+        For an unknown, a repeated or no signal, and an angle that is not positive.
 
     Notes
     -----
     The transverse force is that across the base tangent, and changes its sign where the contact
     angle passes 90°, the axial force of a whisker on its concave side at light contacts: where they
-    do, their noise has a floor (`inference.default_noise`). Unknown stiffness is
-    `UnknownStiffness`; noise with a correlation, one Weber fraction a signal, is `Weber`'s.
+    do, their noise has a floor (`inference.default_noise`). For an unknown stiffness see
+    `UnknownStiffness`, for correlated noise and a Weber fraction of each signal `Weber`.
 
     Examples
     --------
@@ -277,10 +277,10 @@ class SpaceMap(Cue):
     """Distance, deflection angle and azimuth from moment and forces in all directions.
 
     The paper's map in three dimensions, Scholz & Rahn's with a second plane. A straight whisker
-    bends in the plane of its contact, along which friction acts too (`Friction`) and a hinge at
-    its base gives, one that gives as much in all directions. So the sizes of moment and forces are
-    those of `ForceMap`, and the azimuth ω of the contact about the base tangent (from y towards z)
-    is the direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment (0, −M sin ω, M cos ω).
+    bends in the plane of its contact. Friction (`Friction`) acts in that plane, and a hinge at the
+    base, which is as stiff in all directions, turns in it. The sizes of moment and forces are those
+    of `ForceMap`, and the azimuth ω of the contact about the base tangent (from y towards z) is the
+    direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment (0, −M sin ω, M cos ω).
 
     A curved whisker bends out of the plane of its curvature and twists, so that all signals inform
     of all three unknowns (`mechanics.rod`, with friction along the whisker). Its deflection is
@@ -298,19 +298,19 @@ class SpaceMap(Cue):
         axial and transverse force and the two directions: all that there is of a straight whisker.
         A curved one's torsion is one more.
     roll : float
-        Of the plane of curvature about the base tangent, rad: ω, y and z are then counted from a
-        side that is turned back by as much. `UnknownRoll` is of one that is not known.
+        Angle of the plane of curvature about the base tangent, rad: the whisker curves towards
+        ω = roll. `UnknownRoll` is for a roll that is not known.
 
     Raises
     ------
     ValueError
-        For a signal that there is not, none or one twice, and a roll that is not finite. Where it
-        is used, for a hinge of a curved whisker.
+        For an unknown, a repeated or no signal, and a roll that is not finite. Where it is used,
+        for a curved whisker on a hinge.
 
     Notes
     -----
-    Directions are read to whole turns, and a posterior goes on beyond an azimuth of π. A prior of
-    your own has ends, unless it is uniform over a whole turn.
+    Directions that differ by whole turns are the same, and a posterior continues beyond an azimuth
+    of π. A prior of your own has ends, unless it is uniform over a whole turn.
 
     A straight whisker's force that points away from the push, as it does beyond a contact angle of
     90°, or sooner with friction, has a negative size, and the direction of the push. A curved
@@ -344,7 +344,7 @@ class SpaceMap(Cue):
 
     @property
     def turns(self) -> bool:
-        """Unless there are components of a force or a moment across the base tangent."""
+        """False with components of a force or a moment across the base tangent."""
         return not any(name.endswith(("_y", "_z")) for name in self.signal_names)
 
     @property
@@ -375,8 +375,8 @@ class SpaceMap(Cue):
     ) -> Callable[[Array], Encoded]:
         """The signals as a function of the azimuth (...) of contacts (..., 3).
 
-        The third number of those is the azimuth from the plane of curvature, whatever its roll:
-        a whisker that is rolled by as much as the azimuth is more has the same, turned by it.
+        The third number of a contact is its azimuth from the plane of curvature. The azimuth that
+        the function takes is that number plus the roll, by which the signals are turned.
         """
         forward = forward_of(whisker, model)
         self.forward(whisker, np.zeros(3))  # refuses what it does not know

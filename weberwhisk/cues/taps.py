@@ -179,8 +179,8 @@ class Vibration(Cue):
 
     An impulse J at r gives mode n the velocity Jφ_n(r), and the base a moment that rings with
     amplitude J|φ_n(r)|·M_n/ω_n, M_n the base moment for a unit of the mode. By default J is
-    unknown, and the signals are the ratios of the amplitudes to that of the first mode, which no
-    place on the whisker lacks. With J known they are the amplitudes themselves.
+    unknown, and the signals are the ratios of the amplitudes to that of the first mode, which has
+    no node on the whisker. With J known they are the amplitudes themselves.
 
     Parameters
     ----------
@@ -207,9 +207,9 @@ class Vibration(Cue):
     information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
     An amplitude of zero, at a node, is sensed no better than the floor of the noise.
 
-    The signature need not be unique: `inference.approximate.count_peaks` counts the places left. Of
-    them quadrature in one dimension misses none; emcee and Laplace may, and then say so. With
-    further unknowns (a fusion) every method may know of the highest peak alone.
+    The signature need not be unique: `inference.approximate.count_peaks` counts the places left.
+    Quadrature with one unknown finds them all; emcee and Laplace may miss some, and then say so.
+    With further unknowns (a fusion) any method may find only the highest peak.
 
     Examples
     --------

@@ -126,7 +126,7 @@ class _Wrapped(Cue):
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Friction(_Wrapped):
-    """A cue of contacts that rub: with a friction angle that is known, or one more unknown.
+    """A cue with friction at the contact, of a known angle or of one that is one more unknown.
 
     Coulomb friction tilts the contact force from the normal towards the base by the friction angle
     ψ: positive while the whisker slides outwards over the object, as while it is let go, negative
@@ -139,9 +139,8 @@ class Friction(_Wrapped):
     angle : float, optional
         ψ, rad, where it is known. By default it is the unknown ``"friction_angle"``.
     coefficient : float
-        Of an unknown angle, the largest |tan ψ|: its prior is flat from −atan µ to atan µ, which
-        leaves open which way the contact slides and whether it sticks. By default 0.48, of a
-        whisker on steel.
+        Largest |tan ψ| of an unknown angle, whose prior is flat from −atan µ to atan µ: the contact
+        may slide either way, or stick. By default 0.48, of a whisker on steel.
 
     Raises
     ------
@@ -194,7 +193,7 @@ class Friction(_Wrapped):
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class UnknownCurvature(_Wrapped):
-    """A cue of one more unknown, ``"curvature_offset"``: 1/m more than the whisker says, all along.
+    """A cue with one more unknown, ``"curvature_offset"``: added to the whisker's curvature, 1/m.
 
     Parameters
     ----------
@@ -234,7 +233,7 @@ class UnknownCurvature(_Wrapped):
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class UnknownHinge(_Wrapped):
-    """A cue of one more unknown, ``"hinge_stiffness"``: that of the spring at the base, N m/rad.
+    """A cue with one more unknown, ``"hinge_stiffness"``: that of the hinge at the base, N m/rad.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ class UnknownHinge(_Wrapped):
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class UnknownRoll(_Wrapped):
-    """A `SpaceMap` of one more unknown, ``"roll"``: of the plane of curvature about the base, rad.
+    """A `SpaceMap` with one more unknown, the ``"roll"`` of the plane of curvature, rad.
 
     A whisker rolled by ρ and touched at the azimuth ω bends as one that is not, touched at ω − ρ;
     its forces and moments are turned by ρ about the base tangent. So the roll shows in how
@@ -307,8 +306,8 @@ class UnknownRoll(_Wrapped):
     ----------
     cue : SpaceMap
     spread : float
-        Sd of the normal prior, rad, which is cut off half a turn to either side; its middle is the
-        cue's `roll`. Of some turns, any roll is as likely.
+        Sd of the normal prior, rad. Its mean is the cue's `roll`, and it is truncated half a turn
+        to either side: with a spread of several turns it is flat.
 
     Raises
     ------
@@ -369,10 +368,10 @@ FORCES = {*SIGNALS, "moment_rate", *SIX}
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class UnknownStiffness(_Wrapped):
-    """A cue of one more unknown, ``"stiffness"``: EI₀ over what the whisker says it is.
+    """A cue with one more unknown, ``"stiffness"``: EI₀ over the whisker's own.
 
     Forces and moments are proportional to EI₀ at a given contact, so any cue of them can be
-    wrapped, fusions too. Signals of several cues made soft this way share the unknown.
+    wrapped, fusions too. In a fusion of cues that are wrapped each, all share one stiffness.
 
     Parameters
     ----------
