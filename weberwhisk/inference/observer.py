@@ -89,8 +89,8 @@ class Observer(Fields):
 
     Notes
     -----
-    Observers compare and hash by value, so that what an engine works out for one serves all that
-    are equal; priors do by family and parameters. Posteriors are explored in the coordinates of
+    Observers compare and hash by value, their priors by family and parameters: cells that were
+    evaluated for one serve all that are equal. Posteriors are summed in the coordinates of
     `weberwhisk.inference.coordinates`.
 
     Examples
@@ -405,11 +405,11 @@ class Observer(Fields):
     # -- readings ------------------------------------------------------------------------------
 
     def reading_outcome(self, reading: ArrayLike) -> Codes:
-        """What the cue's method, taken by itself and as exact, makes of readings (..., R).
+        """The outcome of the cue's own inverse for readings (..., R), taken as exact.
 
-        An `Outcome` each: `NOT_A_READING` where a number is missing; `HELD` where it finds a
-        contact, for cues without an inverse, and where readings are not of the signals themselves
-        (spikes are counts).
+        An `Outcome` each: `NOT_A_READING` where a number is missing; `HELD` where the inverse finds
+        a contact, for cues without an inverse, and for readings that are not of the signals
+        themselves (spikes are counts).
         """
         y = self.checked_reading(reading, missing=True)
         if not (hasattr(self.cue, "reading_outcome") and self.noise.reads_signals):

@@ -89,11 +89,11 @@ class Posterior(Shown):
 
     @cached_property
     def outcome(self) -> Outcome:
-        """What the cue's method, taken by itself and as exact, makes of the reading.
+        """The outcome of the cue's own inverse, with the reading taken as exact.
 
-        An `Outcome`, or an array of int: `HELD` where it finds a contact; `CONTRADICTORY`,
-        `NO_TOUCH`, `PARALLEL` and the like where it fails, while the posterior, which knows that
-        readings and whiskers are uncertain, does not.
+        An `Outcome`, or an array of int: `HELD` where the inverse finds a contact;
+        `CONTRADICTORY`, `NO_TOUCH`, `PARALLEL` and the like where it fails. The posterior, which
+        allows for noise, does not fail there.
         """
         return member(Outcome, np.asarray(self.observer.reading_outcome(self.reading)))
 
