@@ -60,9 +60,9 @@ def posterior(
         One reading or many: the cue's signals in SI units (with one signal also () or (B,)).
     method : {"quadrature", "emcee", "laplace"}
         Quadrature is the reference, exact to `tolerance`.
-        emcee samples many posteriors stacked in one run, and owes nothing to quadrature, which it
-        can so check. Laplace is the Gaussian at the mode, and says where that will not do. An
-        azimuth next to the end of its range they cannot follow around, and say so.
+        emcee samples many posteriors in one run; it is independent of quadrature, and so checks it.
+        Laplace is the Gaussian at the mode, and flags readings where that is inaccurate. Neither
+        follows an azimuth around the end of its range; both flag that.
     seed : int, SeedSequence or Generator
         Of emcee's walkers; NumPy's global state is neither read nor changed.
     tolerance : float, optional

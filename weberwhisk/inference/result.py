@@ -155,7 +155,7 @@ class Posterior(Shown):
     def quantile_error(self, probability: Any, *, of: str = "radial_distance") -> Array:
         """Estimated errors of `quantile`, in its unit and of its shape.
 
-        NaN where the method does not know them: quadrature of one and of two unknowns does.
+        NaN where the method does not estimate them: quadrature does.
 
         Raises
         ------
