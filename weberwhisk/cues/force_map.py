@@ -343,7 +343,7 @@ class SpaceMap(Cue):
         self._set(signal_names=names, roll=roll)
 
     @property
-    def turns(self) -> bool:
+    def is_isotropic(self) -> bool:
         """False with components of a force or a moment across the base tangent."""
         return not any(name.endswith(("_y", "_z")) for name in self.signal_names)
 

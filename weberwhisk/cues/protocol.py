@@ -73,8 +73,8 @@ class Cue(Value):
         return False
 
     @property
-    def turns(self) -> bool:
-        """Whether directions alone change when contact and whisker turn about the base tangent."""
+    def is_isotropic(self) -> bool:
+        """Whether only directions change as contact and whisker rotate about the base tangent."""
         return False
 
     @property

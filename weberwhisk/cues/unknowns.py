@@ -96,8 +96,8 @@ class _Wrapped(Cue):
         return self.cue.largest_angle(whisker, radial_distance)
 
     @property
-    def turns(self) -> bool:
-        return self.cue.turns
+    def is_isotropic(self) -> bool:
+        return self.cue.is_isotropic
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -433,8 +433,8 @@ class UnknownStiffness(_Wrapped):
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
     @property
-    def turns(self) -> bool:
-        return self.cue.turns and not np.any(self._soft & self.circular)
+    def is_isotropic(self) -> bool:
+        return self.cue.is_isotropic and not np.any(self._soft & self.circular)
 
     @cached_property
     def _soft(self) -> Flags:

@@ -19,9 +19,19 @@ from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
 from .coordinates import within_half_turn
-from .nodes import HALVINGS, TURN, Layers
+from .nodes import HALVINGS, Layers
 from .tree import DROP, Tree
-from .weighted import OVER, Spans, Sums, extrapolated, interpolate, mixed, resampled
+from .weighted import (
+    OVER,
+    Spans,
+    Sums,
+    between,
+    extrapolated,
+    interpolate,
+    masses,
+    mixed,
+    resampled,
+)
 
 __all__ = ["SCORES", "LayeredSums"]
 
@@ -190,21 +200,20 @@ class LayeredSums:
         if not pairs:
             return
         nodes = np.array([key for key, _ in pairs]).T
-        values, slopes = self.layers.values(nodes), self.layers.log_prior(nodes)
+        values = self.layers.values(nodes)
+        slopes = self.layers.log_prior(nodes, values)
         further, tree = np.unique(self.layers.further(nodes), axis=0, return_inverse=True)
-        for t, own in enumerate(further):
+        for t, given in enumerate(further):
             some, asked = np.flatnonzero(tree.ravel() == t).tolist(), []
             for i in some:
-                rows, slope = pairs[i][1], float(slopes[i])
-                readings = self.readings[rows]
+                rows = pairs[i][1]
                 covariance = None if self.covariance is None else self.covariance[rows]
-                for axis, value in zip(self.axes, values, strict=True):
-                    readings, covariance, more = axis.asked(readings, covariance, float(value[i]))
-                    slope += more
-                asked.append((readings, covariance, np.full(len(rows), slope)))
+                at = [float(value[i]) for value in values]
+                own, covariance, more = self.layers.asked(self.readings[rows], covariance, at)
+                asked.append((own, covariance, np.full(len(rows), slopes[i] + more)))
             columns = zip(*asked, strict=True)
             joined = [None if c[0] is None else np.concatenate(c) for c in columns]
-            yield self.layers.tree(own), some, *joined
+            yield self.layers.tree(given), some, *joined
 
     def _glimpse(self, keys: list[tuple[int, ...]], rows: Index) -> Array:
         """About how probable readings are at nodes, in nats, (N, n)."""
@@ -386,14 +395,6 @@ class LayeredSums:
             out.append(own[low:high])
         return out, log
 
-    def _wrapped(self, key: tuple[int, ...]) -> tuple[int, ...]:
-        """A node on the first turn."""
-        out = []
-        for axis, k in zip(self.axes, key, strict=True):
-            half = TURN // 2 * 2**HALVINGS
-            out.append(int((k + half) % (2 * half) - half) if axis.around else int(k))
-        return tuple(out)
-
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
         inner = self.layers.inner
@@ -403,37 +404,33 @@ class LayeredSums:
         for row in known:
             keys, log = self._box(int(row))
             at = np.array([row])
-            if self.layers.rolled and unknown == inner + self.layers.rolled[1]:
-                log, quantile = self._rolls(keys, log, stride)
-                held = np.ones(log.shape, dtype=bool)
-                yield mixed(at, log, held, quantile, SCORES[::stride], PARTS // stride)
-                continue
-            if unknown >= inner:
-                d = unknown - inner
+            d = unknown - inner
+            if d >= 0 and self.axes[d].from_plane:
+                of_roll = self._rolls(d, keys, log, stride)
+                yield mixed(at, *of_roll, SCORES[::stride], PARTS // stride)
+            elif d >= 0:
                 other = tuple(i for i in range(log.ndim) if i != d)
                 along = np.logaddexp.reduce(log, axis=other) if other else log
                 x, fine = interpolate(along[None], 2 * PARTS // stride)
                 step = keys[d][1] - keys[d][0]
                 value = self.axes[d].value(keys[d][0] + step * x)
-                density = np.exp(fine - fine.max())
-                mass = (density[:, 1:] + density[:, :-1]) / 2
-                yield Spans(at, value[None, :-1], value[None, 1:], mass)
-                continue
-            held = log > log.max() - self.drop
-            quantile = np.full((*log.shape, len(SCORES)), np.nan)
-            for i in zip(*np.nonzero(held), strict=True):
-                key = self._wrapped(tuple(int(k[j]) for k, j in zip(keys, i, strict=True)))
-                for part, where in self.nodes[key].parts:
-                    for own in np.flatnonzero(part.rows[where] == row):
-                        quantile[i] = self._conditional(part, unknown)[where][own]
-            held &= np.isfinite(quantile[..., 0])
-            yield mixed(at, log, held, quantile[..., ::stride], SCORES[::stride], PARTS // stride)
+                yield between(at, value[None], fine)
+            else:
+                held = log > log.max() - self.drop
+                quantile = np.full((*log.shape, len(SCORES)), np.nan)
+                for i in zip(*np.nonzero(held), strict=True):
+                    key = tuple(k[j] for k, j in zip(keys, i, strict=True))
+                    for part, pair in self._pairs(key, int(row)):
+                        quantile[i] = self._conditional(part, unknown)[pair]
+                held &= np.isfinite(quantile[..., 0])
+                quantile = quantile[..., ::stride]
+                yield mixed(at, log, held, quantile, SCORES[::stride], PARTS // stride)
 
-    def _rolls(self, keys: list[Index], log: Array, stride: int) -> tuple[Array, Array]:
-        """At nodes of all but a roll: ln of the evidence (...), and quantiles (..., Q) of that."""
-        roll = self.layers.rolled[1] if self.layers.rolled else 0
+    def _rolls(
+        self, roll: int, keys: list[Index], log: Array, stride: int
+    ) -> tuple[Array, Flags, Array]:
+        """At nodes of all but the roll: ln of the evidence, whether there is any, its quantiles."""
         log = np.moveaxis(log, roll, -1)
-        shape = log.shape[:-1]
         x, fine = interpolate(log.reshape(-1, log.shape[-1]), 2 * PARTS // stride)
         step = keys[roll][1] - keys[roll][0]
         middle = keys[roll][0] + step * (x[1:] + x[:-1]) / 2
@@ -441,12 +438,15 @@ class LayeredSums:
         value = self.layers.values(np.meshgrid(*nodes, indexing="ij"))[roll]
         value = np.moveaxis(value, roll, -1).reshape(len(fine), -1)
         half = self.axes[roll].unit * step * (x[1] - x[0]) / 2
-        with np.errstate(invalid="ignore"):
-            density = np.exp(fine - fine.max(axis=1, keepdims=True))
-        mass = (density[:, 1:] + density[:, :-1]) / 2
-        spans = Spans(np.arange(len(fine)), value - half, value + half, mass)
-        quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*shape, -1)
-        return np.logaddexp.reduce(log, axis=-1), quantile
+        spans = Spans(np.arange(len(fine)), value - half, value + half, masses(fine))
+        quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*log.shape[:-1], -1)
+        return np.logaddexp.reduce(log, axis=-1), np.isfinite(quantile[..., 0]), quantile
+
+    def _pairs(self, key: tuple[int, ...], row: int) -> Iterator[tuple[_Part, int]]:
+        """The sums of a reading at a node, on any turn: the part they are in, and their number."""
+        for part, where in self.nodes[self.layers.on_first_turn(key)].parts:
+            for own in np.flatnonzero(part.rows[where] == row):
+                yield part, int(where.start + own)
 
     def _conditional(self, part: _Part, unknown: int) -> Array:
         """Quantiles (n, Q) of readings at nodes, of those that have mass there."""
@@ -474,17 +474,16 @@ class LayeredSums:
             for i in np.flatnonzero(many):
                 at = np.unravel_index(i, log.shape)
                 own = tuple(k[j] for k, j in zip(keys, at, strict=True))
-                for part, where in self.nodes[self._wrapped(own)].parts:
-                    for place in where.start + np.flatnonzero(part.rows[where] == row):
-                        proposed, log_proposed = part.found.proposals(int(many[i]), rng, place)
-                        x.append(proposed)
-                        step = np.array([k[1] - k[0] for k in keys])
-                        z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
-                        log_of.append(log_proposed + np.log(weight[i]))
+                for part, pair in self._pairs(own, int(row)):
+                    proposed, log_proposed = part.found.proposals(int(many[i]), rng, pair)
+                    x.append(proposed)
+                    step = np.array([k[1] - k[0] for k in keys])
+                    z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
+                    log_of.append(log_proposed + np.log(weight[i]))
             some, node = np.concatenate(x), np.concatenate(z)
             further = self.layers.values(node.T)
             contact, log_density = self.observer.contact(some, further=further)
-            log_density += self.layers.log_prior(node.T)
+            log_density += self.layers.log_prior(node.T, further)
             log_density += self.observer.log_likelihood(self.readings[row], contact)
             chosen = resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]

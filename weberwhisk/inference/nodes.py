@@ -1,4 +1,4 @@
-"""Nodes of an unknown that has a prior alone, and the observer to whom its value is given there."""
+"""Nodes of unknowns that have priors alone, and the trees of observers to whom these are given."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from .._util.values import Array, Index
 from ..mechanics.contact import Outcome
-from .coordinates import from_normal, is_all_around, within_half_turn
+from .coordinates import from_normal, is_all_around, leaps, within_half_turn
 from .observer import Evaluated, Observer
 from .tree import Tree, tree_of
 
@@ -95,7 +95,7 @@ class Axis:
     def value(self, node: Any) -> Array:
         """Values of the unknown at nodes, which need not be whole.
 
-        In place of a roll that is `from_plane`, of the azimuth less that.
+        For a roll that is `from_plane`: values of the azimuth less the roll.
         """
         t = self.unit * np.asarray(node, dtype=float)
         if self.from_plane:
@@ -128,21 +128,23 @@ class Axis:
         if self.name == "roll":
             return "as they are" if self.observer.forward.is_flat else "turned" * self.from_plane
         if self.name == "azimuth" and self.observer.forward.is_flat:
-            return "turned" * _turns(self.observer)
+            return "turned" * _is_isotropic(self.observer)
         return ""
 
     @cached_property
     def from_plane(self) -> bool:
         """Whether nodes of a roll are those of the azimuth from the plane of curvature.
 
-        All rolls at one of these share its tree. It takes a prior of less than a turn that is not
-        narrow.
+        All rolls at one of these share its tree. Its prior must be one of a whole turn without a
+        leap, as nodes of a density with ends would have to meet these, and not narrow.
         """
-        if self.name != "roll" or self.observer.forward.is_flat or not _turns(self.observer):
+        if self.name != "roll" or self.observer.forward.is_flat or not _is_isotropic(self.observer):
             return False
         prior = self.observer.prior["roll"]
+        if np.ptp(prior.support()) < 2 * np.pi - 1e-9 or leaps(prior).size:
+            return False
         beyond = prior.cdf(self.middle - np.pi) + prior.sf(self.middle + np.pi)
-        # Along a narrower ridge of both azimuths there are too many nodes.
+        # A narrower prior is a ridge of both azimuths, finer than their step after two halvings.
         return bool(beyond < 1e-9 and prior.std() > 2 * np.pi / (4 * TURN))
 
     def asked(self, readings: Array, covariance: Array | None, value: float) -> Any:
@@ -157,10 +159,10 @@ class Axis:
         return readings, covariance, 0.0
 
 
-def _turns(observer: Observer) -> bool:
+def _is_isotropic(observer: Observer) -> bool:
     """Whether readings turned about the base tangent are as probable of contacts so turned."""
     size, circular = len(observer.cue.signal_names), np.asarray(observer.cue.circular)
-    if not observer.cue.turns or np.any(observer.noise.weber_fractions(size)[circular] != 0):
+    if not observer.cue.is_isotropic or np.any(observer.noise.weber_fractions(size)[circular] != 0):
         return False
     parts = observer.noise.components(size)
     return all(c.noise.gaussian_on == "linear" for c in parts if circular[c.signals].any())
@@ -180,7 +182,10 @@ def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
 
 
 class Layers:
-    """Posteriors of an observer some of whose unknowns have priors alone, or are given at nodes."""
+    """The unknowns of an observer that have priors alone, their nodes, and the trees that serve.
+
+    `given` has the nodes of those that stay where they are.
+    """
 
     def __init__(
         self, observer: Observer, tolerance: float, inner: int | None = None,
@@ -214,6 +219,22 @@ class Layers:
         """The tree of distance and angle where what has a prior alone is given (F,)."""
         return tree_of(Conditional(self.observer, tuple(further.tolist())), self.tolerance)
 
+    def asked(self, readings: Array, covariance: Array | None, values: list[float]) -> Any:
+        """Readings and covariances to ask of a tree at values, and ln of the Jacobian."""
+        slope = 0.0
+        for axis, value in zip(self.axes, values, strict=True):
+            readings, covariance, more = axis.asked(readings, covariance, value)
+            slope += more
+        return readings, covariance, slope
+
+    def on_first_turn(self, node: tuple[int, ...]) -> tuple[int, ...]:
+        """The node (D,) that stands for one which may be some turns on."""
+        half = TURN // 2 * 2**HALVINGS
+        return tuple(
+            int((k + half) % (2 * half) - half) if axis.around else int(k)
+            for axis, k in zip(self.axes, node, strict=True)
+        )
+
     def values(self, nodes: Any) -> list[Array]:
         """Values of the unknowns at nodes, (D, ...)."""
         out = [axis.value(node) for axis, node in zip(self.axes, nodes, strict=True)]
@@ -223,9 +244,9 @@ class Layers:
             out[roll] = middle + within_half_turn(out[azimuth] - out[roll] - middle)
         return out
 
-    def log_prior(self, nodes: Any) -> Array:
-        """ln of the prior density at nodes (D, ...), over their coordinates."""
+    def log_prior(self, nodes: Any, values: list[Array]) -> Array:
+        """ln of the prior density at nodes (D, ...) and their values, over their coordinates."""
         out = sum(axis.log_prior(node) for axis, node in zip(self.axes, nodes, strict=True))
         if self.rolled:
-            out = out + self.observer.prior["roll"].logpdf(self.values(nodes)[self.rolled[1]])
+            out = out + self.observer.prior["roll"].logpdf(values[self.rolled[1]])
         return np.asarray(out)

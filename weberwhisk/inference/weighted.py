@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 
 __all__ = [
-    "OVER", "Leaves", "Spans", "Sums", "density_of_distance", "extrapolated", "interpolate",
-    "mixed", "resampled", "systematic",
+    "OVER", "Leaves", "Spans", "Sums", "between", "density_of_distance", "extrapolated",
+    "interpolate", "masses", "mixed", "resampled", "systematic",
 ]  # fmt: skip
 
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
@@ -219,7 +219,7 @@ class Sums:
             for rows, start, step, log in self.marginals(among):
                 x, log = interpolate(log, PARTS[0] // stride)
                 value = self.observer.space.distance(start[:, None] + step * x)
-                yield _between(rows, value, log)
+                yield between(rows, value, log)
             return
         for leaves in self.leaves(among):
             # Some 4 million numbers at once.
@@ -316,11 +316,16 @@ def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans
     return Spans(rows, *out)
 
 
-def _between(rows: Index, value: Array, log: Array, top: Array | None = None) -> Spans:
+def between(rows: Index, value: Array, log: Array) -> Spans:
     """Spans between values (n, K) at which ln of the density is given, at even places."""
-    top = log.max(axis=1) if top is None else top
-    density = np.exp(log - top[:, None])
-    return Spans(rows, value[:, :-1], value[:, 1:], (density[:, 1:] + density[:, :-1]) / 2)
+    return Spans(rows, value[:, :-1], value[:, 1:], masses(log))
+
+
+def masses(log: Array) -> Array:
+    """Masses (n, K − 1) between even places at which ln of the density is (n, K), unnormalised."""
+    with np.errstate(invalid="ignore"):  # NaN where there is no density at all
+        density = np.exp(log - log.max(axis=1, keepdims=True))
+    return np.asarray((density[:, 1:] + density[:, :-1]) / 2)
 
 
 def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
