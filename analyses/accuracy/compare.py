@@ -107,9 +107,12 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="a CSV file for what is found of each reading")
     given = parser.parse_args()
     with given.table.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if not given.kind or row["kind"] in given.kind]
-    if not rows:
-        parser.error(f"no reading is of kind {given.kind}; kinds are those of its second column")
+        rows = list(csv.DictReader(file))
+    kinds = list(dict.fromkeys(row["kind"] for row in rows))
+    for kind in given.kind or ():
+        if kind not in kinds:
+            parser.error(f"no reading is of the kind {kind!r}; write one of {', '.join(kinds)}")
+    rows = [row for row in rows if not given.kind or row["kind"] in given.kind]
     sure = [
         row for row in rows
         if float(row["truth_error"]) < MOMENTS / 5 and float(row["quantile_error"]) < ENDS / 5
