@@ -177,6 +177,7 @@ USERS: tuple[Callable[[Day], None], ...] = (
 
 def fresh_environment(folder: Path) -> Path:
     """The Python of a new environment with this repository in it."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # compiled modules are kept, as for a user
     venv.create(folder / "env", with_pip=True)
     python = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
     subprocess.run([python, "-m", "pip", "install", "-q", str(ROOT)], check=True)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import rel_entr
+from scipy.special import logsumexp, rel_entr
 
 from .._util import checks
 from .._util.values import Array, counted
@@ -257,11 +257,13 @@ def known_half_widths(
     spread = 0.5 * end * (node + 1)
     # As many sds of the mean as the tails of an unknown spread have.
     away = np.sqrt((variance[:, None] + 1e-12) / animals) * np.linspace(-12, 12, 241)
-    square = (variance[:, None] + away**2)[..., None]
-    log_like = -animals * (np.log(spread) + square / (2 * spread**2)) + np.log(weight)
-    log_like += SPREAD.logpdf(spread)
-    top = log_like.max(axis=(1, 2), keepdims=True)
-    density = np.exp(log_like - top).sum(axis=2)
+    square = variance[:, None] + 1e-12 + away**2
+    # The likelihood of the mean depends on that square alone.
+    table = np.geomspace(square.min(), square.max(), 500)
+    log_like = -animals * (np.log(spread) + table[:, None] / (2 * spread**2)) + np.log(weight)
+    log_like = logsumexp(log_like + SPREAD.logpdf(spread), axis=1)
+    density = np.interp(np.log(square), np.log(table), log_like)
+    density = np.exp(density - density.max(axis=1, keepdims=True))
     mean = middle[:, None] + away
     density *= np.exp(hypothesis.priors.log_density("weber_fraction", np.exp(mean)) + mean)
     below = np.cumsum(density, axis=1) / density.sum(axis=1, keepdims=True)
