@@ -230,7 +230,8 @@ def test_to_arviz_has_draws_of_the_posterior(arviz, method):
         (lambda o: ww.posterior(o, "loud"), "reading must be a number"),
         (lambda o: ww.posterior(o, [1.0], tolerance=0), "tolerance must be above zero, got 0"),
         (lambda o: ww.posterior(o, [1.0], tolerance="low"), "tolerance must be a number"),
-        (lambda o: ww.posterior(o, [1e-4]).interval(1.5), "probability lies between 0 and 1"),
+        (lambda o: ww.posterior(o, [1e-4]).interval(1.5), "mass must lie between 0 and 1, got 1.5"),
+        (lambda o: ww.posterior(o, [1e-4]).interval(of="angle"), "of 'angle' is unknown"),
         (
             lambda o: ww.posterior(ww.Observer(W, ForceMap()), [1.0, 2.0, 3.0]),
             r"has 2 numbers \(of moment, axial_force\), got shape \(3,\)",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, ndtri
 
-from .._util.checks import finite
+from .._util.checks import between
 from .._util.sampling import StackedSample, sample_stacked
 from .._util.values import Array, Flags, Index
 from ..mechanics.contact import Outcome
@@ -262,9 +262,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     >>> count_peaks(observer, observer.signals([[15e-3], [35e-3]])[0]).tolist()
     [2, 2]
     """
-    share = float(finite("mass", mass, "write 0.95, say"))
-    if not 0 < share < 1:
-        raise ValueError(f"mass must lie between 0 and 1, got {share:g}; write 0.95, say.")
+    share = between("mass", mass, "write 0.95, say")
     if len(observer.unknowns) != 1:
         raise ValueError(
             f"Peaks are counted for one unknown, got {', '.join(observer.unknowns)}; "

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._util.checks import finite
+from .._util.checks import between, finite, one_of
 from .._util.sampling import ArvizData, to_arviz
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
@@ -143,12 +143,12 @@ class Posterior(Shown):
         Raises
         ------
         ValueError
-            For a probability outside 0 to 1.
+            For a probability outside 0 to 1, or an unknown name.
         """
         p = finite("probability", probability, "write a number between 0 and 1")
         if np.any((p <= 0) | (p >= 1)):
             raise ValueError(f"A probability lies between 0 and 1, got {p}; write 0.975, say.")
-        values = self.quantile_of(np.atleast_1d(p), self.observer.unknowns.index(of))
+        values = self.quantile_of(np.atleast_1d(p), self._column(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
 
@@ -160,7 +160,7 @@ class Posterior(Shown):
         Raises
         ------
         ValueError
-            For a probability outside 0 to 1.
+            For a probability outside 0 to 1, or an unknown name.
 
         Examples
         --------
@@ -174,7 +174,7 @@ class Posterior(Shown):
         if self.quantile_error_of is None:
             return np.full(shape, np.nan)[()]
         p = np.atleast_1d(np.asarray(probability, dtype=float))
-        return np.reshape(self.quantile_error_of(p, self.observer.unknowns.index(of)), shape)[()]
+        return np.reshape(self.quantile_error_of(p, self._column(of)), shape)[()]
 
     def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Array:
         """Equal-tailed interval: lower and upper end along the last axis.
@@ -182,10 +182,13 @@ class Posterior(Shown):
         Raises
         ------
         ValueError
-            For a mass outside 0 to 1.
+            For a mass outside 0 to 1, or an unknown name.
         """
-        tail = (1 - float(mass)) / 2
+        tail = (1 - between("mass", mass, "write 0.95, say")) / 2
         return self.quantile([tail, 1 - tail], of=of)
+
+    def _column(self, of: str) -> int:
+        return self.observer.unknowns.index(one_of("of", of, self.observer.unknowns))
 
     def summary(self) -> pd.DataFrame:
         """One row for each reading and unknown: moments, errors, 95 % interval, how it went.
