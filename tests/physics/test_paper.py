@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from integrators import follow
+from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.mechanics import closed_form
+from weberwhisk.mechanics import closed_form, signal_jacobian
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation
 
@@ -322,3 +323,28 @@ def test_taper_takes_the_moment_towards_nothing_and_the_axial_force_to_a_third()
     u = r / CONE.length
     np.testing.assert_allclose(taper.moment / cylinder.moment, 1 - u, rtol=1e-3)
     np.testing.assert_allclose(taper.axial_force / cylinder.axial_force, 1 - 2 * u / 3, rtol=1e-3)
+
+
+def test_a_scattered_map_must_be_interpolated_on_logarithmic_axes():
+    """§2f: ∂r/∂M by a cubic through scattered (M, Fx), beside the simulator's."""
+    share = np.linspace(0.1, 0.97, 40)[:, None]
+    theta = np.linspace(0.01, 0.999, 40) * ww.flick_past(W, share * L).deflection_angle
+    known = ww.press(W, share * L, theta)
+    inside = known.held & (known.contact_angle < np.pi / 2)
+    points = np.stack([known.moment, known.axial_force], axis=-1)[inside]
+    r = np.broadcast_to(share * L, inside.shape)[inside]
+    plain = CloughTocher2DInterpolator(points, r, rescale=True)
+    logs = CloughTocher2DInterpolator(np.log(points), r)
+    places, step = [(0.3, 0.4), (0.5, 0.1), (0.7, 0.1)], 1e-4
+    off = []
+    for place, angle in places:
+        bent = ww.press(W, place * L, angle)
+        moment, force = float(bent.moment), float(bent.axial_force)
+        true = np.linalg.inv(signal_jacobian(W, place * L, angle)[:2])[0, 0]
+        ends = np.array([[moment * (1 - step), force], [moment * (1 + step), force]])
+        slopes = np.diff(plain(ends))[0], np.diff(logs(np.log(ends)))[0]
+        off.append(np.abs(np.array(slopes) / (2 * step * moment * true) - 1))
+    plain_off, logs_off = np.transpose(off)
+    assert logs_off.max() < 0.017
+    assert plain_off.max() > 5
+    assert np.all(plain_off[1:] > 0.5)  # at small angles
