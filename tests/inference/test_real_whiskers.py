@@ -22,8 +22,8 @@ from weberwhisk.cues import (
     Fused,
     UnknownCurvature,
 )
-from weberwhisk.mechanics import profile
-from weberwhisk.mechanics.curved_surface import CurvedSurface
+from weberwhisk.mechanics import Profile, Spiral, profile
+from weberwhisk.mechanics.curved_surface import CurvedSurface, curved_surface
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.recordings import methods_paragraph
 from weberwhisk.sensitivity import prior_draws
@@ -85,6 +85,18 @@ def test_friction_and_curvature_that_are_unknown_are_axes_of_the_surface():
         assert held == kind
         if held == 0:
             assert row == pytest.approx(true, abs=5e-5 * np.hypot(*true[1:]))
+
+
+def test_whiskers_of_other_stiffness_share_a_surface():
+    r, push = np.array([10e-3, 30e-3]), np.array([0.1, 0.2])
+    plain, other = whisker(), replace(whisker(), youngs_modulus=0.9e9)
+    varying = Profile.of(plain).curved(Spiral(8.0, 300.0))
+    for stiff, soft in ((plain, other), (varying, replace(varying, whisker=other))):
+        tables = [curved_surface(w, (0.0, 0.0)) for w in (stiff, soft)]
+        assert tables[0]._signals is tables[1]._signals
+        signals = tables[1](r, push, 0.0, 0.0)[0]
+        np.testing.assert_allclose(signals, 0.3 * tables[0](r, push, 0.0, 0.0)[0], rtol=1e-14)
+        np.testing.assert_allclose(signals, CurvedSurface(soft)(r, push, 0.0, 0.0)[0], rtol=1e-7)
 
 
 @lru_cache(maxsize=1)

@@ -14,6 +14,7 @@ and curvature are further axes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from typing import Any, ClassVar, NamedTuple, Self, cast
@@ -23,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 
 from .._util.values import Array, Codes, Flags, Index
-from ..whisker import Whisker
+from ..whisker import YOUNGS_MODULUS, Whisker
 from . import profile as planar
 from . import rod
 from .beam import rows_of, zero_load
@@ -364,8 +365,22 @@ def _distinct(*given: Array) -> tuple[list[Array], Index]:
     return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
 
 
-#: The surface of a whisker, kept for its next contacts.
-curved_surface = lru_cache(maxsize=64)(CurvedSurface)
+@lru_cache(maxsize=256)
+def curved_surface(whisker: Whisker | Profile, *ends: tuple[float, float], **space: bool) -> Any:
+    """The `CurvedSurface` of these arguments, kept for next contacts, also of other stiffnesses."""
+    if isinstance(whisker, Profile):
+        alike: Any = replace(
+            whisker, whisker=replace(whisker.whisker, youngs_modulus=YOUNGS_MODULUS)
+        )
+    else:
+        alike = replace(whisker, youngs_modulus=YOUNGS_MODULUS)
+    surface = copy(_kept(alike, *ends, **space))
+    surface.whisker, surface.profile = whisker, Profile.of(whisker)
+    surface.stiffness = float(surface.profile.whisker.stiffness)
+    return surface
+
+
+_kept = lru_cache(maxsize=64)(CurvedSurface)
 
 
 def more_curved(profile: Profile, offset: Array) -> Profile:
