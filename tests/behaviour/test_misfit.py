@@ -77,14 +77,15 @@ def test_options_of_a_fit_stay_in_what_is_advised() -> None:
 def test_effects_with_arguments_are_advised_as_they_are_typed() -> None:
     trials = animal("MISFIT_STREAKS")
     trials = Trials(trials.frame.assign(laser=np.arange(len(trials.frame)) % 2), trials.task)
-    fit = fit_weber(trials, effects=[effects.Covariate("laser"), effects.Contraction()])
+    fit = fit_weber(trials, effects=[effects.Covariate("laser")])
     line = advised(fit)[0]
-    assert "effects=[Covariate('laser'), Contraction()], states=3" in line
+    assert "effects=[Covariate('laser')], states=3" in line
     again = eval(line, {**vars(effects), "fit_weber": fit_weber, "trials": trials})
-    assert again.effects == ("laser", "contraction")
-    assert "--effect covariate:laser --effect contraction --states 3" in with_options(fit.report())
-    said = with_options("fit_weber(trials, effects=[Covariate('a b', on='weber_fraction')])")
-    assert said == "--effect 'covariate:a b:weber_fraction'"
+    assert again.effects == ("laser",)
+    assert "--effect covariate:laser --states 3" in with_options(fit.report())
+    two = "[Covariate('a b', on='weber_fraction'), Contraction()]"
+    said = with_options(f"fit_weber(trials, effects={two})")
+    assert said == "--effect 'covariate:a b:weber_fraction' --effect contraction"
 
 
 def test_only_a_fit_with_states_has_a_course_of_engagement() -> None:

@@ -366,7 +366,7 @@ def test_a_force_that_turns_round_beside_the_push_needs_no_fine_cells():
 
 def test_cells_that_are_not_kept_change_nothing(monkeypatch):
     observer = layered_observer("stiffness", 0.2)
-    _, reading = readings_of(observer, 40, np.random.default_rng(1))
+    _, reading = readings_of(observer, 12, np.random.default_rng(1))
     usual = ww.posterior(observer, reading)
     monkeypatch.setattr(tree, "MEMORY", 3_000_000)
     tree._kept.clear()
