@@ -56,23 +56,21 @@ def run(
 ) -> pd.DataFrame:
     """Do the same work on every chunk, and put the tables under one another.
 
-    The result is the same to the bit whatever the number of workers, their kind and their order,
-    and whether or not the sweep was interrupted: the seed of a chunk hangs on `seed` and the number
-    of the chunk alone, and linear algebra has one thread.
+    The result is the same to the bit whatever the workers and their order, and whether or not the
+    sweep was interrupted: the seed of a chunk depends on `seed` and its number alone.
 
     Parameters
     ----------
     work : callable
-        ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
-        always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
-        A `functools.partial` of one hands every chunk the same objects, pickled; with `out` the
-        chunks must say which, as only they are compared with the file's.
+        ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, always of the same
+        columns: a function at the top level of a module, or a `functools.partial` of one. With
+        `out` the chunks must say which objects that has, as only they are compared with the file's.
     chunks : iterable of dict
-        What may be written as JSON. Handing one out takes a millisecond, or ten on a cluster.
+        What may be written as JSON.
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
-        ``if __name__ == "__main__":``. In a browser, which has none, all is done serially.
+        ``if __name__ == "__main__":``. In a browser all is done serially.
     scheduler : str, optional
         Address of a `dask.distributed` scheduler such as ``tcp://node1:8786``, whose workers have
         the same weberwhisk, NumPy and SciPy.

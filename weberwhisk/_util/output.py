@@ -311,16 +311,6 @@ class Log:
     first. `kind` is what it is a log of, one word; `question` what was asked, as JSON has it, the
     same whenever the file is gone on with. Files of another question or of none, that another
     process is writing, or that cannot be written, are refused.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> file = tempfile.mkdtemp() + "/walk.jsonl"
-    >>> with Log(file, "walk", {"seed": 1}) as log:
-    ...     log.append('{"step": 1}')
-    >>> with Log(file, "walk", {"seed": 1}) as log:
-    ...     log.lines
-    ['{"step": 1}']
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: str, question: dict[str, Any]) -> None:

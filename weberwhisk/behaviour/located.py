@@ -88,16 +88,11 @@ def with_distances(
 
     Notes
     -----
-    The place x of a trial is nominal + offset + the animal's scatter τ; the video says m with an sd
-    s. Offset and τ are estimated from all m − nominal by maximum likelihood (variances τ² + s²),
-    and what is integrated over is the product of both, with mean (m/s² + (nominal + offset)/τ²) ν²
-    and variance ν² = 1/(1/s² + 1/τ²). Without the second factor, measurement error would be taken
-    for movement wherever s is not small beside τ (regression dilution; Carroll et al. 2006, ch. 4).
-    A touch that was not located is at nominal + offset, with sd τ. A posterior counts by its mean
-    and sd: with its whole density k moves by 0.01 of its own sd where touches are known to 0.3 mm,
-    and by 0.13 at 2.2 mm, more than the animal's scatter of 1.4 (270 trials). Errors of different
-    trials, and of the two intervals, are taken to be independent: a stiffness that is unknown in
-    the same way throughout is better given to `locate`.
+    The place of a trial is nominal + offset + the animal's scatter τ, and the video says it with an
+    sd s. Offset and τ are estimated by maximum likelihood, and fits integrate over the product of
+    both densities (how-to "Fit where touches were"; regression dilution, Carroll et al. 2006).
+    A touch that was not located is at nominal + offset, with sd τ. Errors of different trials, and
+    of the two intervals, are taken to be independent.
 
     Examples
     --------

@@ -316,9 +316,8 @@ class SpaceMap(Cue):
     90°, or sooner with friction, has a negative size, and the direction of the push. A curved
     whisker's turns round out of the plane: its sizes are positive, and its directions may be any.
 
-    Components change sign, and so do the axial forces of a curved whisker that is pushed against
-    its curvature and of one that rubs towards its tip, and a transverse force that turns round may
-    vanish: their noise has a floor (`inference.default_noise`).
+    Components change sign, and so may axial and transverse forces of curved whiskers and of those
+    that rub: their noise has a floor (`inference.default_noise`).
 
     Examples
     --------

@@ -194,16 +194,9 @@ class ComparativeLength(Cue):
     Notes
     -----
     A longer whisker that touches where a shorter one does not puts the object between the two
-    lengths, as the paper says, for whiskers with one base. Seen from above, these two are the
-    other way round: the tip of the longer (l) ends before that of the shorter (s), as its base is
-    further back, and a pole at o is touched by the shorter alone::
-
-        l───────────────────
-                s────────────o──
-
-    So it is where the longer whisker is whisked past or short of the object's direction. The chance
-    of a pattern is Σ over poses of Π over whiskers, as lengths and sectors are independent.
-    Nor is a whisker touched by a pole behind its base: a prior keeps poles out of the snout.
+    lengths, as the paper says, for whiskers with one base. Where the longer one's base is further
+    back and its tip ends first, the shorter may touch alone. The chance of a pattern is Σ over
+    poses of Π over whiskers. A prior keeps poles out of the snout.
 
     One event has no limit of small noise; see `VibrissaLength`.
 

@@ -368,12 +368,9 @@ def _distinct(*given: Array) -> tuple[list[Array], Index]:
 @lru_cache(maxsize=256)
 def curved_surface(whisker: Whisker | Profile, *ends: tuple[float, float], **space: bool) -> Any:
     """The `CurvedSurface` of these arguments, kept for next contacts, also of other stiffnesses."""
+    alike: Any = replace(getattr(whisker, "whisker", whisker), youngs_modulus=YOUNGS_MODULUS)
     if isinstance(whisker, Profile):
-        alike: Any = replace(
-            whisker, whisker=replace(whisker.whisker, youngs_modulus=YOUNGS_MODULUS)
-        )
-    else:
-        alike = replace(whisker, youngs_modulus=YOUNGS_MODULUS)
+        alike = replace(whisker, whisker=alike)
     surface = copy(_kept(alike, *ends, **space))
     surface.whisker, surface.profile = whisker, Profile.of(whisker)
     surface.stiffness = float(surface.profile.whisker.stiffness)

@@ -115,29 +115,11 @@ class SpikeCount(ReceptorNoise):
 
     Notes
     -----
-    *Weber's law emerges.* A Poisson count of mean μ carries μ'²/μ. With μ = a(β + s) that of one
-    afferent about ln I is a(ds/dlnI)²/(β + s), where ds/dlnI = n·s(1 − s). Summed over thresholds
-    of density ρ per unit of ln c (number − 1 over ln(highest/lowest)) it does not depend on I:
-
-        1/k² = ρ a n J(β),  J(β) = ∫₀¹ s(1 − s)/(β + s) ds = ½ + β − β(1 + β) ln(1 + 1/β),
-
-    and J(β) − J(β + 1/(gain_sd²·a)) in place of J with a random gain. *It stops* where the
-    thresholds do: the integral runs from the s of the least to that of the most sensitive
-    afferent. Below the lowest threshold k rises as I^(−n/2), in the end, where spontaneous spikes
-    outnumber evoked ones, as I⁻ⁿ; above the highest as Iⁿ. The faster the onset, the smaller the
-    signal that reaches the RA afferents.
-
-    *Sources.* Naka–Rushton populations with gamma-distributed gain: May & Solomon (2015), J. Vis.
-    15(6):8 (there the gain is shared). Other tuning that gives Weber's law: Shouval et al. (2013),
-    Phys. Rev. Lett. 110, 168102. SA : RA is 60 : 21 in rats (Shoykhet et al. 2000, Somatosens. Mot.
-    Res. 17, 171), 75 : 25 % of 123 (Lichtenstein et al. 1990, ibid. 7, 47), 53 : 47 % in mice
-    (Kwegyir-Afful et al. 2008, ibid. 25, 209). RA have low amplitude and high velocity thresholds,
-    SA the reverse (Stüttgen et al. 2006, J. Neurosci. 26, 7933). Spontaneous rates are mostly
-    below 1/s (Hahn 1971, J. Physiol. 213, 215, in cats). Moments drive the afferents rather than
-    angles (Bush et al. 2016, eLife 5, e13969). *Assumed, for want of numbers:* thresholds even in
-    ln c and their range, the peak rate, n, independence, one kind of signal for each afferent, SA
-    at the rate of the full signal from the start. Bush, Solla & Hartmann (2019), bioRxiv 869255,
-    find mixtures of signals and a continuum from SA to RA instead.
+    Weber's law emerges: over signals that many thresholds surround, the effective Weber fraction
+    does not depend on the signal. Below the lowest threshold k rises as I^(−n/2), in the end, where
+    spontaneous spikes outnumber evoked ones, as I⁻ⁿ; above the highest as Iⁿ. The faster the onset,
+    the smaller the signal that reaches the RA afferents. Derivation, sources and what is assumed:
+    the theory page "Receptor noise, JNDs and criteria".
 
     Examples
     --------
