@@ -24,18 +24,17 @@ def test_p_is_uniform_where_ranks_are_and_small_where_they_are_not() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "n"),
     [
-        "vibrissa length (a)",
-        "vibration with phase (d)",
-        "compliance (e)",
-        "balance, effort known (h)",
+        ("vibrissa length (a)", 300),
+        ("vibration with phase (d)", 300),
+        ("compliance (e)", 300),
+        ("balance, effort known (h)", 100),
+        pytest.param("balance, effort known (h)", 300, marks=pytest.mark.slow),
     ],
 )
-def test_one_unknown(name: str) -> None:
-    ranks, flagged = calibration.posterior_ranks(
-        calibration.CUES[name], 300 if "effort" not in name else 100, seed=11
-    )
+def test_one_unknown(name: str, n: int) -> None:
+    ranks, flagged = calibration.posterior_ranks(calibration.CUES[name], n, seed=11)
     assert flagged < 0.1
     assert min(map(calibration.uniform_p, ranks.values())) > RARE
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from short_forms import short_or_full
 
 from weberwhisk.behaviour import (
     FitStatus,
@@ -74,15 +75,18 @@ def test_options_of_a_fit_stay_in_what_is_advised() -> None:
     assert '--bias "none" --noise "equal-variance" --states 3' in with_options(fit.report())
 
 
-def test_effects_with_arguments_are_advised_as_they_are_typed() -> None:
+@short_or_full("more", [], [effects.Contraction()])
+def test_effects_with_arguments_are_advised_as_they_are_typed(more: list[effects.Effect]) -> None:
     trials = animal("MISFIT_STREAKS")
     trials = Trials(trials.frame.assign(laser=np.arange(len(trials.frame)) % 2), trials.task)
-    fit = fit_weber(trials, effects=[effects.Covariate("laser")])
+    fit = fit_weber(trials, effects=[effects.Covariate("laser"), *more])
     line = advised(fit)[0]
-    assert "effects=[Covariate('laser')], states=3" in line
+    also = ", Contraction()" if more else ""
+    assert f"effects=[Covariate('laser'){also}], states=3" in line
     again = eval(line, {**vars(effects), "fit_weber": fit_weber, "trials": trials})
-    assert again.effects == ("laser",)
-    assert "--effect covariate:laser --states 3" in with_options(fit.report())
+    assert again.effects == ("laser", *("contraction" for _ in more))
+    also = " --effect contraction" if more else ""
+    assert f"--effect covariate:laser{also} --states 3" in with_options(fit.report())
     two = "[Covariate('a b', on='weber_fraction'), Contraction()]"
     said = with_options(f"fit_weber(trials, effects={two})")
     assert said == "--effect 'covariate:a b:weber_fraction' --effect contraction"

@@ -107,15 +107,20 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
     data = tmp_path / ("data.mat" if rig == "bpod's own" else "data.csv")
     if data.suffix == ".csv":
         table.to_csv(data, index=False)
-    command = ["analyse", str(folder / "plan.json"), str(data)]
-    assert run_app(app, [*command, "--json"]) == 0
+    assert run_app(app, ["analyse", str(folder / "plan.json"), str(data), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert not direct.left_out
     for name, value in direct.log_evidence.items():
         assert value < -10
         assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
-    if rig != "own":
-        return
+
+
+def test_the_analysis_of_a_plan_is_written(
+    planned: tuple[Path, Plan, pd.Series, AnalysisResult], tmp_path: Path
+) -> None:
+    folder, plan, answer, _ = planned
+    plan.trials.assign(choice=answer - 1).to_csv(tmp_path / "data.csv", index=False)
+    command = ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]
     assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0
     report = (tmp_path / "out" / "analysis.txt").read_text("utf-8")
     assert report.startswith(plan.title)

@@ -16,7 +16,7 @@ from audit import (
 )
 from scipy import stats
 from scipy.special import logit
-from short_forms import slow_but
+from short_forms import short_or_full, slow_but
 
 import weberwhisk as ww
 from weberwhisk import Status, cues
@@ -364,9 +364,10 @@ def test_a_force_that_turns_round_beside_the_push_needs_no_fine_cells():
     assert sum(kept.evaluated for kept in tree._kept.values()) < 150_000
 
 
-def test_cells_that_are_not_kept_change_nothing(monkeypatch):
+@short_or_full("count", 12, 40)
+def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     observer = layered_observer("stiffness", 0.2)
-    _, reading = readings_of(observer, 12, np.random.default_rng(1))
+    _, reading = readings_of(observer, count, np.random.default_rng(1))
     usual = ww.posterior(observer, reading)
     monkeypatch.setattr(tree, "MEMORY", 3_000_000)
     tree._kept.clear()
