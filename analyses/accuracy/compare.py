@@ -108,10 +108,12 @@ def main() -> None:
     given = parser.parse_args()
     with given.table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
+    if not rows:
+        parser.error(f"no reading is in {given.table}; write the table of truth.py")
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
     for kind in given.kind or ():
         if kind not in kinds:
-            parser.error(f"no reading is of the kind {kind!r}; write one of {', '.join(kinds)}")
+            parser.error(f"no reading is of the kind {kind!r}; write one of {kinds}")
     rows = [row for row in rows if not given.kind or row["kind"] in given.kind]
     sure = [
         row for row in rows
