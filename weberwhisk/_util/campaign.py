@@ -62,9 +62,8 @@ def run(
     Parameters
     ----------
     work : callable
-        ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, always of the same
-        columns: a function at the top level of a module, or a `functools.partial` of one. With
-        `out` the chunks must say which objects that has, as only they are compared with the file's.
+        ``work(chunk, seed) -> DataFrame``, always of the same columns: a function at the top level
+        of a module, or a `functools.partial` of one; with `out` chunks must say what that holds.
     chunks : iterable of dict
         What may be written as JSON.
     seed : int or SeedSequence

@@ -90,9 +90,8 @@ def with_distances(
     -----
     The place of a trial is nominal + offset + the animal's scatter τ, and the video says it with an
     sd s. Offset and τ are estimated by maximum likelihood, and fits integrate over the product of
-    both densities (how-to "Fit where touches were"; regression dilution, Carroll et al. 2006).
-    A touch that was not located is at nominal + offset, with sd τ. Errors of different trials, and
-    of the two intervals, are taken to be independent.
+    both densities (how-to "Fit where touches were"; regression dilution, Carroll et al. 2006), or
+    over the second where no touch was located. All errors are taken to be independent.
 
     Examples
     --------

@@ -196,9 +196,8 @@ class ComparativeLength(Cue):
     A longer whisker that touches where a shorter one does not puts the object between the two
     lengths, as the paper says, for whiskers with one base. Where the longer one's base is further
     back and its tip ends first, the shorter may touch alone. The chance of a pattern is Σ over
-    poses of Π over whiskers. A prior keeps poles out of the snout.
-
-    One event has no limit of small noise; see `VibrissaLength`.
+    poses of Π over whiskers. A prior keeps poles out of the snout. One event has no limit of small
+    noise; see `VibrissaLength`.
 
     Examples
     --------

@@ -25,12 +25,12 @@ from .weighted import (
     OVER,
     Spans,
     Sums,
-    between,
     extrapolated,
     interpolate,
     masses,
     mixed,
     resampled,
+    spans_between,
 )
 
 __all__ = ["SCORES", "LayeredSums"]
@@ -192,10 +192,9 @@ class LayeredSums:
     def _asked(
         self, pairs: list[tuple[tuple[int, ...], Index]]
     ) -> Iterator[tuple[Tree, list[int], Array, Array | None, Array]]:
-        """What to ask of each tree of nodes and their readings: together, as that is cheaper.
+        """What to ask of each tree of pairs of a node and its readings, all at once.
 
-        The tree, the numbers of the pairs, readings and covariances, and ln of the Jacobian and of
-        the prior there.
+        The tree, the pairs' numbers, readings, covariances, and ln of Jacobian times prior.
         """
         if not pairs:
             return
@@ -414,7 +413,7 @@ class LayeredSums:
                 x, fine = interpolate(along[None], 2 * PARTS // stride)
                 step = keys[d][1] - keys[d][0]
                 value = self.axes[d].value(keys[d][0] + step * x)
-                yield between(at, value[None], fine)
+                yield spans_between(at, value[None], fine)
             else:
                 held = log > log.max() - self.drop
                 quantile = np.full((*log.shape, len(SCORES)), np.nan)

@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 
 __all__ = [
-    "OVER", "Leaves", "Spans", "Sums", "between", "density_of_distance", "extrapolated",
-    "interpolate", "masses", "mixed", "resampled", "systematic",
+    "OVER", "Leaves", "Spans", "Sums", "density_of_distance", "extrapolated", "interpolate",
+    "masses", "mixed", "resampled", "spans_between", "systematic",
 ]  # fmt: skip
 
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
@@ -219,7 +219,7 @@ class Sums:
             for rows, start, step, log in self.marginals(among):
                 x, log = interpolate(log, PARTS[0] // stride)
                 value = self.observer.space.distance(start[:, None] + step * x)
-                yield between(rows, value, log)
+                yield spans_between(rows, value, log)
             return
         for leaves in self.leaves(among):
             # Some 4 million numbers at once.
@@ -316,7 +316,7 @@ def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans
     return Spans(rows, *out)
 
 
-def between(rows: Index, value: Array, log: Array) -> Spans:
+def spans_between(rows: Index, value: Array, log: Array) -> Spans:
     """Spans between values (n, K) at which ln of the density is given, at even places."""
     return Spans(rows, value[:, :-1], value[:, 1:], masses(log))
 

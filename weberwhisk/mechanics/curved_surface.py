@@ -31,7 +31,7 @@ from .beam import rows_of, zero_load
 from .branches import Branches, NotFound, extended, walk
 from .contact import Outcome, signals_of
 from .elastica import basis, fit, nodes, place_of, product, unfold
-from .shape import Profile, Spiral
+from .shape import Profile, Spiral, with_modulus
 
 __all__ = ["SIX", "THINNEST", "CurvedSurface", "curved_surface", "more_curved", "pressed"]
 
@@ -366,12 +366,13 @@ def _distinct(*given: Array) -> tuple[list[Array], Index]:
 
 
 @lru_cache(maxsize=256)
-def curved_surface(whisker: Whisker | Profile, *ends: tuple[float, float], **space: bool) -> Any:
-    """The `CurvedSurface` of these arguments, kept for next contacts, also of other stiffnesses."""
-    alike: Any = replace(getattr(whisker, "whisker", whisker), youngs_modulus=YOUNGS_MODULUS)
-    if isinstance(whisker, Profile):
-        alike = replace(whisker, whisker=alike)
-    surface = copy(_kept(alike, *ends, **space))
+def curved_surface(
+    whisker: Whisker | Profile, friction: tuple[float, float] = (0.0, 0.0),
+    offset: tuple[float, float] = (0.0, 0.0), *, in_space: bool = False,
+) -> CurvedSurface:  # fmt: skip
+    """A `CurvedSurface`, kept for next contacts; whiskers of all stiffnesses share its tables."""
+    alike = with_modulus(whisker, YOUNGS_MODULUS), friction, offset
+    surface = copy(_kept(*alike, in_space=in_space))
     surface.whisker, surface.profile = whisker, Profile.of(whisker)
     surface.stiffness = float(surface.profile.whisker.stiffness)
     return surface

@@ -8,6 +8,7 @@ of two laws, each with a closed form.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from .._util.checks import finite, kind, non_negative, positive, refuse_hinge
 from .._util.values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 
-__all__ = ["Law", "Parabola", "Profile", "Spiral", "bent_shape"]
+__all__ = ["Law", "Parabola", "Profile", "Spiral", "bent_shape", "with_modulus"]
 
 _METRES = "give metres, such as 5e-3"
 _PER_METRE = "give 1/m, such as 20, or 0 for none"
@@ -164,6 +165,13 @@ class Parabola(Value):
 
 
 Law = Spiral | Parabola
+
+
+def with_modulus(whisker: Whisker | Profile, youngs_modulus: float) -> Any:
+    """The whisker or profile of another Young's modulus, Pa."""
+    if isinstance(whisker, Profile):
+        return replace(whisker, whisker=with_modulus(whisker.whisker, youngs_modulus))
+    return replace(whisker, youngs_modulus=youngs_modulus)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

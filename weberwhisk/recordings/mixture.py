@@ -27,6 +27,7 @@ from ..inference.methods import sums_of
 from ..inference.one_distance import ReadingGroup, one_distance
 from ..inference.weighted import Spans
 from ..mechanics import Profile, Spiral
+from ..mechanics.shape import with_modulus
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
 from ..whisker import Assumed, usual_turn
 
@@ -282,7 +283,9 @@ def cases_of(
     mixed = bow is not None or len(noises) > 1
     if isinstance(cue, UnknownStiffness) and mixed and cue.is_scale:
         inner = cue.cue
-        every = [_softer(w, s) for w in every for s in np.exp(cue.spread * SCORES)]
+        modulus = getattr(whisker, "whisker", whisker).youngs_modulus
+        factors = np.exp(cue.spread * SCORES)
+        every = [with_modulus(w, float(f * modulus)) for w in every for f in factors]
         scores = [SCORES] if bow is None else [SCORES, SCORES]
     squares = np.square(np.meshgrid(*scores, indexing="ij")).sum(axis=0)
     cases = [
@@ -300,12 +303,6 @@ def _bent(whisker: Any, curvature: float) -> Any:
     if isinstance(whisker, Profile):
         return whisker.curved(Spiral(curvature))
     return replace(whisker, curvature=curvature)
-
-
-def _softer(whisker: Any, factor: float) -> Any:
-    if isinstance(whisker, Profile):
-        return replace(whisker, whisker=_softer(whisker.whisker, factor))
-    return replace(whisker, youngs_modulus=factor * whisker.youngs_modulus)
 
 
 def by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
