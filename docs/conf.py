@@ -84,7 +84,7 @@ templates_path = ["_templates"]
 nitpicky = True
 default_role = "obj"
 
-mathjax4_config: dict[str, Any] = {"output": {"displayOverflow": "linebreak"}}  # on a phone
+mathjax4_config: dict[str, Any] = {"output": {"displayOverflow": "scroll"}}  # on a phone
 
 # Pages that run. A cell that raises is an error of the build.
 nb_execution_mode = "cache"
