@@ -17,7 +17,7 @@ from matplotlib.collections import PolyCollection
 
 import weberwhisk as ww
 from weberwhisk import plots
-from weberwhisk.inference.tree import DROP, TOLERANCE, Tree
+from weberwhisk.inference.tree import DROP, TOLERANCE, tree_of
 
 FIGURE = Path(__file__).parent.parent / "figures" / "walk.png"
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -31,7 +31,7 @@ def main() -> None:
     given = parser.parse_args()
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.ForceMap())
     reading = observer.read([30e-3, 0.2], seed=1)
-    tree = Tree(observer, TOLERANCE)
+    tree = tree_of(observer, TOLERANCE)
     tree.sums(reading[None])
     # With one reading, the cells of a level are the halves of those kept one level up.
     levels = [tree.start]

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from .. import __version__
 
 __all__ = [
-    "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded", "counted",
-    "in_short", "interval_text", "member", "methods_text", "paragraphs", "pd", "with_units",
+    "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded",
+    "counted", "distinct", "in_short", "interval_text", "member",
+    "methods_text", "paragraphs", "pd", "with_units",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -303,6 +304,16 @@ def counted(number: int, thing: str) -> str:
     """
     plural = "es" if thing.endswith("ch") else "s"
     return f"{number} {thing}{plural if number != 1 else ''}"
+
+
+def distinct(*given: Array) -> tuple[list[Array], Index]:
+    """The distinct combinations (m,) of values (n,) or (1,), and which each of n is."""
+    values, codes = zip(*(np.unique(a, return_inverse=True) for a in given), strict=True)
+    shape = tuple(v.size for v in values)
+    kinds, which = np.unique(
+        np.ravel_multi_index(np.broadcast_arrays(*codes), shape), return_inverse=True
+    )
+    return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
 
 
 def methods_text(sentences: Sequence[str]) -> str:

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from .._util.checks import one_of, shown
-from .._util.values import Array
+from .._util.values import Array, distinct
 from ..cues.protocol import Cue
-from ..mechanics.forward import forward_of
+from ..mechanics.forward import ForwardModel, forward_of
 from ..whisker import Whisker
 
 #: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
@@ -94,11 +94,12 @@ class ContactCoordinates:
         )
         log_jacobian += np.log(high - low)
         if self.bounded > 1:
-            if further and not any(np.ndim(value) for value in further):
+            if further and x.shape[-1] == self.bounded:
                 # Cells of a tree stand in columns of one distance, and ranges in space are dear.
-                r, first, back = np.unique(out[..., 0], return_index=True, return_inverse=True)
-                low_angle, width = self.angle_range(r, out.reshape(-1, out.shape[-1])[first])
-                width = width[back.reshape(out.shape[:-1])]
+                more = [np.ravel(value) for value in further]
+                (r, *more), back = distinct(out[..., 0].ravel(), *more)
+                low_angle, width = self.angle_range(r, np.column_stack([r, 0 * r, *more]))
+                width = width[back].reshape(out.shape[:-1])
             else:
                 low_angle, width = self.angle_range(out[..., 0], out)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -111,8 +112,8 @@ class ContactCoordinates:
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         return out, log_jacobian
 
-    def reaching(self, farthest: float) -> ContactCoordinates:
-        """The same with distances that end at another reach, m."""
+    def reaching(self, farthest: Array) -> ContactCoordinates:
+        """The same with distances that end at another reach (...), m, of each contact its own."""
         out = replace(self)
         object.__setattr__(out, "reach", (self.reach[0], farthest))
         return out
@@ -242,9 +243,13 @@ class ContactCoordinates:
         contact = np.ones((1, len(self.cue.unknowns)))
         return len(self.cue.forward(self.whisker, contact).extremes(2)) > 1
 
+    @cached_property
+    def _forward(self) -> ForwardModel:
+        return forward_of(self.whisker)
+
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
-        w = forward_of(self.whisker)
+        w = self._forward
         room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
         if w.is_hinged:  # in series
             room = 1 / (1 / room + w.hinge_compliance * w.base.compliance_constant)

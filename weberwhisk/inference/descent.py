@@ -31,10 +31,11 @@ class Descent:
     """One chunk of readings on their way from the coarse cells to their lattices."""
 
     def __init__(
-        self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: Array,
-        out: Any,
+        self, tree: Tree, readings: Array, covariance: Array | None, which: Index, rows: Index,
+        drop: Array, out: Any,
     ) -> None:  # fmt: skip
         self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
+        self.which = which
         self.readings, self.covariance = readings, covariance
         self.log_slope = np.zeros(len(rows))
         if tree.gaussian:
@@ -55,10 +56,11 @@ class Descent:
         return np.maximum(gap, 0.0)
 
     def first(self) -> Pairs:
-        """All readings beside all coarse cells."""
-        start, n = self.tree.start, len(self.rows_out)
-        row, cell = np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n)
-        return Pairs(start, row, cell, False)
+        """All readings beside all coarse cells of what is given."""
+        begins, counts = self.tree.begins[self.which], self.tree.counts[self.which]
+        row = np.repeat(np.arange(len(counts)), counts)
+        cell = np.arange(len(row)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
+        return Pairs(self.tree.start, row, cell, False)
 
     def run(self, least: Array) -> None:
         """From the coarse cells on, but for readings whose density is nowhere above `least`."""
@@ -111,45 +113,51 @@ class Descent:
         return out
 
     def _log_measured(self, level: Level, row: Index, cell: Index, blurred: bool) -> Array:
-        """The same with each reading's own covariance of measurement errors, by Cholesky's root."""
-        tree, rows, data, size = self.tree, self.tree.rows, level.data, self.tree.size
+        """The same with each reading's own covariance of measurement errors."""
+        tree, rows, data = self.tree, self.tree.rows, level.data
         assert tree.gaussian
-        assert self.covariance is not None
-        sd = 1 / data[rows.precision][:, cell]
-        own, correlation = self.covariance[row], tree.gaussian.correlation
-        blur = 0.0
+        blur = np.zeros(tree.size)
         if blurred:
             change = np.abs(data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1))
             blur = (1.0 if level.depth < 2 else 0.36) * change.sum(axis=0) ** 2
-        out = data[rows.log_prior.start][cell] - 0.5 * size * np.log(2 * np.pi)
+        root = self._root(level, row, cell, blur)
+        out = data[rows.log_prior.start][cell] - 0.5 * tree.size * np.log(2 * np.pi)
+        off = [
+            tree.gaussian.off(self.y[i][row], data[rows.mean.start + i][cell], i)
+            for i in range(tree.size)
+        ]
+        for line, z in zip(root, _solved(root, off), strict=True):
+            out = out - 0.5 * z**2 - np.log(line[-1])
+        return np.asarray(out)
+
+    def _root(self, level: Level, row: Index, cell: Index, blur: Array) -> list[list[Array]]:
+        """Cholesky's root of the covariance of pairs, with more variance on its diagonal."""
+        tree, data = self.tree, level.data
+        assert tree.gaussian
+        assert self.covariance is not None
+        sd = 1 / data[tree.rows.precision][:, cell]
+        own, correlation = self.covariance[row], tree.gaussian.correlation
         root: list[list[Array]] = []
-        z: list[Array] = []
-        for i in range(size):
+        for i in range(tree.size):
             line: list[Array] = []
-            value = tree.gaussian.off(self.y[i][row], data[rows.mean.start + i][cell], i)
             for j in range(i + 1):
                 part = own[:, i, j] + correlation[i, j] * sd[i] * sd[j]
-                if i == j and blurred:
-                    part = part + blur[i]  # type: ignore[index]
                 for k in range(j):
                     part = part - line[k] * (root[j][k] if j < i else line[k])
-                line.append(part / root[j][j] if j < i else np.sqrt(part))
-                if j < i:
-                    value = value - line[j] * z[j]
+                line.append(part / root[j][j] if j < i else np.sqrt(part + blur[i]))
             root.append(line)
-            z.append(value / line[i])
-            out = out - 0.5 * z[-1] ** 2 - np.log(line[i])
-        return np.asarray(out)
+        return root
 
     def _lengths(self, level: Level, row: Index, cell: Index) -> Array:
         """Lengths of cells along each axis (U, P), in sds of the readings."""
         tree, rows, data = self.tree, self.tree.rows, level.data
         if self.covariance is None:
             return data[rows.length][:, cell]
-        own = np.stack([self.covariance[row, i, i] for i in range(tree.size)])
-        variance = own + data[rows.precision][:, cell] ** -2
+        root = self._root(level, row, cell, np.zeros(tree.size))
         change = data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1)
-        square = (change[:, : tree.size] ** 2 / variance).sum(axis=1)
+        square = np.stack(
+            [np.square(_solved(root, list(c[: tree.size]))).sum(axis=0) for c in change]
+        )
         square += (change[:, tree.size : -1] ** 2).sum(axis=1)
         return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
 
@@ -158,18 +166,16 @@ class Descent:
         level, row, cell, _ = task
         first = np.flatnonzero(np.diff(row, prepend=-1))
         counts, own = np.diff(first, append=len(row)), row[first]
-        # Where the density is e^−d of the highest, an error of a share ε of that is one of ε e^d
-        # of its own: steps may be longer there.
-        near = depth > -self.tree.room
-        room = np.maximum(self.tree.room + depth[near], 0.0)
-        lengths = self._lengths(level, row[near], cell[near]) * np.sqrt(room / (2 * np.pi**2))
-        begin = np.flatnonzero(np.diff(row[near], prepend=-1))
-        ratio = np.zeros((self.tree.unknowns, len(own)))
-        ratio[:, np.isin(own, row[near][begin])] = np.maximum.reduceat(lengths, begin, axis=1)
-        wide = ratio > 1
+        # The trapezoidal rule is off by exp(−2π²/L²) of the mass in cells L sds long.
+        mass = np.exp(depth)
+        mass /= np.repeat(np.add.reduceat(mass, first), counts)
+        square = 2 * np.pi**2 / self._lengths(level, row, cell) ** 2
+        off = np.add.reduceat(mass * np.exp(-square), first, axis=1)
+        halved = np.add.reduceat(mass * np.exp(-4 * square), first, axis=1)
+        wide = off > self.tree.share
         stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
         self.refined[own[stuck & wide.any(axis=0)]] = DEEPEST  # as often as it could be
-        last = (ratio <= 2).all(axis=0) | stuck
+        last = (halved <= self.tree.share).all(axis=0) | stuck
         return wide & ~stuck, np.ones(len(own), dtype=bool), np.asarray(last)
 
     def _sum(self, task: Pairs, log: Array) -> tuple[Flags, Flags, Flags]:
@@ -207,3 +213,13 @@ class Descent:
             rows = np.repeat(row[own], 2 ** sum(pattern))
             tasks.append(Pairs(child, rows, cells, bool(kind[-1])))
         return tasks
+
+
+def _solved(root: list[list[Array]], values: list[Array]) -> list[Array]:
+    """Values (S, P) in sds and without correlation, by Cholesky's root of their covariance."""
+    z: list[Array] = []
+    for line, value in zip(root, values, strict=True):
+        for part, before in zip(line, z, strict=False):
+            value = value - part * before
+        z.append(value / line[-1])
+    return z

@@ -1,9 +1,9 @@
 """Layers: unknowns that have a prior alone, each summed over even nodes of its coordinate.
 
 Friction, stiffness, curvature, hinge, roll and azimuth are not bounded by the whisker. At each node
-of theirs distance and angle have a tree of their own, which is kept, with its own range of angles.
-Nodes are halved where the sums over odd and even ones disagree. (One tree of all axes fails: its
-cells are thin oblique sheets, up to a million a reading.)
+of theirs distance and angle have cells of their own in one tree, with their own range of angles.
+Nodes are halved where the sums over odd and even ones disagree. (Cells of all axes fail: they are
+thin oblique sheets, up to a million a reading.)
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 from .coordinates import within_half_turn
 from .nodes import HALVINGS, Layers
-from .tree import DROP, Tree
+from .tree import DROP
 from .weighted import (
     OVER,
     Spans,
@@ -55,7 +55,7 @@ class _Node:
 
 @dataclass(eq=False)
 class _Part:
-    """Sums of pairs (n,) of a reading and a node, of all nodes that share a tree.
+    """Sums of pairs (n,) of a reading and a node.
 
     The number of the reading, the node (n, D), and ln of the evidence of both.
     """
@@ -127,7 +127,7 @@ class LayeredSums:
         return np.stack(parts).reshape(*map(len, keys), *parts[0].shape)
 
     def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
-        """Ask the trees of all nodes that may have mass."""
+        """Ask the tree at all nodes that may have mass."""
         every = list(product(*map(np.ndarray.tolist, keys)))
         count, inner = len(self.readings), self.layers.inner
         bound = self._bound(keys, rows, *before) if before else None
@@ -191,57 +191,57 @@ class LayeredSums:
 
     def _asked(
         self, pairs: list[tuple[tuple[int, ...], Index]]
-    ) -> Iterator[tuple[Tree, list[int], Array, Array | None, Array]]:
-        """What to ask of each tree of pairs of a node and its readings, all at once.
+    ) -> tuple[Array, Array | None, Index, Array]:
+        """What to ask of the tree of pairs of a node and its readings.
 
-        The tree, the pairs' numbers, readings, covariances, and ln of Jacobian times prior.
+        Readings, covariances, numbers of what is given, and ln of Jacobian times prior.
         """
-        if not pairs:
-            return
         nodes = np.array([key for key, _ in pairs]).T
-        values = self.layers.values(nodes)
-        slopes = self.layers.log_prior(nodes, values)
-        further, tree = np.unique(self.layers.further(nodes), axis=0, return_inverse=True)
-        for t, given in enumerate(further):
-            some, asked = np.flatnonzero(tree.ravel() == t).tolist(), []
-            for i in some:
-                rows = pairs[i][1]
-                covariance = None if self.covariance is None else self.covariance[rows]
-                at = [float(value[i]) for value in values]
-                own, covariance, more = self.layers.asked(self.readings[rows], covariance, at)
-                asked.append((own, covariance, np.full(len(rows), slopes[i] + more)))
-            columns = zip(*asked, strict=True)
-            joined = [None if c[0] is None else np.concatenate(c) for c in columns]
-            yield self.layers.tree(given), some, *joined
+        values, which = self.layers.values(nodes), self.layers.numbers(nodes)
+        slopes, asked = self.layers.log_prior(nodes, values), []
+        for i, (_, rows) in enumerate(pairs):
+            covariance = None if self.covariance is None else self.covariance[rows]
+            at = [float(value[i]) for value in values]
+            own, covariance, more = self.layers.asked(self.readings[rows], covariance, at)
+            size = len(rows)
+            asked.append(
+                (own, covariance, np.full(size, which[i]), np.full(size, slopes[i] + more))
+            )
+        columns = list(zip(*asked, strict=True))
+        own, number, slope = (np.concatenate(columns[i]) for i in (0, 2, 3))
+        return own, None if self.covariance is None else np.concatenate(columns[1]), number, slope
 
     def _glimpse(self, keys: list[tuple[int, ...]], rows: Index) -> Array:
         """About how probable readings are at nodes, in nats, (N, n)."""
-        out = np.empty((len(keys), len(rows)))
-        for tree, some, readings, covariance, slope in self._asked([(k, rows) for k in keys]):
-            out[some] = (tree.glimpse(readings, covariance) + slope).reshape(len(some), -1)
-        return out
+        readings, covariance, which, slope = self._asked([(k, rows) for k in keys])
+        log = self.layers.tree.glimpse(readings, covariance, which) + slope
+        return log.reshape(len(keys), len(rows))
 
     def _ask(self, pairs: list[tuple[tuple[int, ...], Index]], best: Array) -> None:
         """Sum over the cells at nodes, where they may have mass beside the `best` (B,) known."""
-        for tree, some, readings, covariance, slope in self._asked(pairs):
-            rows = np.concatenate([pairs[i][1] for i in some])
-            least = best[rows] - 2 * self.drop
-            found = tree.sums(readings, covariance, drop=self.drop, least=least - slope)
-            known = np.isfinite(found.log_evidence)
-            node = np.repeat([pairs[i][0] for i in some], [len(pairs[i][1]) for i in some], axis=0)
-            log = np.where(known, found.log_evidence + slope, -np.inf)
-            part = _Part(found, rows, node, log)
-            self.parts.append(part)
-            np.maximum.at(best, rows, part.log)
-            begin = 0
-            for key, own in (pairs[i] for i in some):
-                at = slice(begin, begin + len(own))
-                one, begin = self.nodes[key], at.stop
-                one.log[own] = log[at]
-                one.guess[own] = np.maximum(np.where(known, log, least)[at], -1e5)
-                one.mean[own], one.sd[own] = np.nan_to_num([found.mean[at], found.sd[at]])
-                one.error[own] = np.where(known, found.error, 0.0)[at]
-                one.parts.append((part, at))
+        if not pairs:
+            return
+        readings, covariance, which, slope = self._asked(pairs)
+        rows = np.concatenate([own for _, own in pairs])
+        least = best[rows] - 2 * self.drop
+        found = self.layers.tree.sums(
+            readings, covariance, which=which, drop=self.drop, least=least - slope
+        )
+        known = np.isfinite(found.log_evidence)
+        node = np.repeat([key for key, _ in pairs], [len(own) for _, own in pairs], axis=0)
+        log = np.where(known, found.log_evidence + slope, -np.inf)
+        part = _Part(found, rows, node, log)
+        self.parts.append(part)
+        np.maximum.at(best, rows, part.log)
+        begin = 0
+        for key, own in pairs:
+            at = slice(begin, begin + len(own))
+            one, begin = self.nodes[key], at.stop
+            one.log[own] = log[at]
+            one.guess[own] = np.maximum(np.where(known, log, least)[at], -1e5)
+            one.mean[own], one.sd[own] = np.nan_to_num([found.mean[at], found.sd[at]])
+            one.error[own] = np.where(known, found.error, 0.0)[at]
+            one.parts.append((part, at))
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; about how far off the sums along each axis are, (D, n)."""

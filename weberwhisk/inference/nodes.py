@@ -1,4 +1,4 @@
-"""Nodes of unknowns that have priors alone, and the trees of observers to whom these are given."""
+"""Nodes of unknowns that have priors alone, and the tree of an observer to whom these are given."""
 
 from __future__ import annotations
 
@@ -10,53 +10,16 @@ from typing import Any
 import numpy as np
 
 from .._util.values import Array, Index
-from ..mechanics.contact import Outcome
 from .coordinates import from_normal, is_all_around, leaps, within_half_turn
-from .observer import Evaluated, Observer
+from .observer import Observer
 from .tree import Tree, tree_of
 
-__all__ = ["HALVINGS", "TURN", "Axis", "Conditional", "Layers"]
+__all__ = ["HALVINGS", "TURN", "Axis", "Layers"]
 
 #: Most times that nodes are halved. There are 9 to begin with, within 4.7 sd of a prior, or 16 to a
 #: turn.
 HALVINGS = 6
 FIRST, FARTHEST, TURN = 0.6, 4, 16
-
-
-class Conditional:
-    """An observer whose `further` unknowns, those with priors alone, have given values."""
-
-    def __init__(self, observer: Observer, further: tuple[float, ...]) -> None:
-        self.observer, self.further = observer, further
-        inner = len(observer.unknowns) - len(further)
-        self.unknowns, self.noise = observer.unknowns[:inner], observer.noise
-        self.is_smooth, self.circular = observer.is_smooth, observer.circular
-        self.space = observer.space
-        if observer.bounded == 1 and observer.space.reach_varies:
-            self.space = observer.space.reaching(_farthest(observer, further))
-        self._hash = hash((observer, further))
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Conditional) or self.further != other.further:
-            return False
-        return self.observer is other.observer or self.observer == other.observer
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def evaluate(self, x: Array) -> Evaluated:
-        """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
-        return self.observer.evaluate(x, self.further, self.space)
-
-    def contact_at(self, x: Array) -> Array:
-        """Contacts (..., U) at coordinates (..., U)."""
-        with np.errstate(all="ignore"):
-            whole = self.observer.contact(x, self.further, self.space)[0]
-        return whole[..., : len(self.unknowns)]
-
-    def ends(self) -> tuple[Array, Array]:
-        """The coordinates between which there is next to all of the prior."""
-        return self.observer.ends(len(self.unknowns))
 
 
 @dataclass(frozen=True)
@@ -168,21 +131,8 @@ def _is_isotropic(observer: Observer) -> bool:
     return all(c.noise.gaussian_on == "linear" for c in parts if circular[c.signals].any())
 
 
-def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
-    """The largest distance at which contact is held where other unknowns are given, m."""
-    low, high = observer.reach
-    for _ in range(5):  # to a millionth of a millionth of the reach
-        r = np.linspace(low, high, 258)[1:-1]
-        contact = np.column_stack([r, np.tile(further, (len(r), 1))])
-        held = np.flatnonzero(observer.signals(contact)[1] == Outcome.HELD)
-        if not held.size or held[-1] == len(r) - 1:
-            return float(high)
-        low, high = r[held[-1]], r[held[-1] + 1]
-    return float(low)
-
-
 class Layers:
-    """The unknowns of an observer that have priors alone, their nodes, and the trees that serve.
+    """The unknowns of an observer that have priors alone, their nodes, and the tree that serves.
 
     `given` has the nodes of those that stay where they are.
     """
@@ -200,8 +150,19 @@ class Layers:
             ((i - 1, i) for i, axis in enumerate(self.axes) if axis.from_plane), None
         )
 
+    @property
+    def tree(self) -> Tree:
+        """The tree of distance and angle."""
+        return tree_of(self.observer, self.tolerance, self.inner)
+
+    def numbers(self, nodes: Array) -> Index:
+        """The numbers (P,) that nodes (D, P) have in the tree, of what is given there."""
+        kinds, which = np.unique(self.further(nodes), axis=0, return_inverse=True)
+        number = self.tree.observer.number
+        return np.array([number(tuple(k)) for k in kinds.tolist()])[which.ravel()]
+
     def further(self, nodes: Array) -> Array:
-        """In the trees that serve nodes (D, P), values (P, F) of what has a prior alone."""
+        """In the tree that serves nodes (D, P), values (P, F) of what has a prior alone."""
         at = dict(zip((axis.name for axis in self.axes), nodes, strict=True)) | self.given
         standard: dict[str, Any] = {"scaled": 1.0, "turned": 0.0}
         out = {
@@ -214,10 +175,6 @@ class Layers:
             out["azimuth"] = self.axes[self.rolled[1]].value(at["roll"])
         columns = [np.broadcast_to(value, nodes.shape[1:]) for value in out.values()]
         return np.stack(columns, axis=-1)
-
-    def tree(self, further: Array) -> Tree:
-        """The tree of distance and angle where what has a prior alone is given (F,)."""
-        return tree_of(Conditional(self.observer, tuple(further.tolist())), self.tolerance)
 
     def asked(self, readings: Array, covariance: Array | None, values: list[float]) -> Any:
         """Readings and covariances to ask of a tree at values, and ln of the Jacobian."""

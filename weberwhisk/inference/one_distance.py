@@ -140,9 +140,9 @@ def _sums(
         y, covariance, slope = axis.asked(y, covariance, float(axis.value(node)))
     layers = Layers(observer, TOLERANCE, given={axis.name: node} if axis else None)
     if not layers.axes:
-        alone = np.empty((0, 1))
-        tree = layers.tree(*layers.further(alone)) if axis else tree_of(observer, TOLERANCE)
-        found = tree.sums(y, covariance, drop=2 * DROP)
+        which = np.repeat(layers.numbers(np.empty((0, 1))), len(y)) if axis else None
+        tree = layers.tree if axis else tree_of(observer, TOLERANCE)
+        found = tree.sums(y, covariance, which=which, drop=2 * DROP)
         yield np.arange(len(y)), found, found.log_evidence + slope
         return
     whole = LayeredSums(layers, y, covariance, 2 * DROP)
@@ -179,10 +179,9 @@ def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
     def within(leaves: Leaves) -> Array:
         if spans is None:
             return np.ones((1, len(leaves.log)))
-        contact = observer.contact_at((leaves.place.T + 0.5) * leaves.step)
-        further = np.tile(getattr(observer, "further", ()), (len(contact), 1))
-        own = np.column_stack([contact, further])
-        least, width = getattr(observer, "observer", observer).space.angle_range(own[:, 0], own)
+        which = found.which[leaves.rows[leaves.owner]]
+        own = observer.contact_at((leaves.place.T + 0.5) * leaves.step, which)
+        least, width = observer.observer.space.angle_range(own[:, 0], own)
         share = (own[:, 1] - least) / np.maximum(width, 1e-300)
         # Over its mean: the integral of exp(−(u/s)⁴) over shares u.
         mean = spans * gamma(1.25) * gammainc(0.25, spans**-4.0)

@@ -12,19 +12,20 @@ exp(−2π²/h²) at steps of h sds (Trefethen & Weideman 2014, SIAM Review 56, 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from .._util.values import Array, Index
 from ..receptors import ReceptorNoise
+from .conditional import Conditional
 from .coordinates import within_half_turn
 from .descent import Descent
-from .observer import Evaluated
+from .observer import Evaluated, Observer
 from .weighted import Sums
 
 #: Error of means and sds, in sds, above which posteriors are `IMPRECISE`.
@@ -41,21 +42,6 @@ MEMORY = 400_000_000
 
 #: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
 PAIRS = 150_000
-
-
-class TreeObserver(Protocol):
-    """What a tree needs of an observer of one or two unknowns that the whisker bounds."""
-
-    @property
-    def noise(self) -> ReceptorNoise: ...
-    @property
-    def unknowns(self) -> tuple[str, ...]: ...
-    @property
-    def is_smooth(self) -> bool: ...
-    @property
-    def circular(self) -> Index: ...
-    def evaluate(self, x: Array) -> Evaluated: ...
-    def ends(self) -> tuple[Array, Array]: ...
 
 
 # -- what readings say of cells --------------------------------------------------------------------
@@ -155,7 +141,8 @@ class Level:
         """Keep more cells; the number of the first."""
         first, self.count = self.count, self.count + columns.shape[1]
         if self.count > self.data.shape[1]:
-            more = np.empty((len(self.data), int(1.5 * self.count) + 16))
+            # Of room that is not used yet there is no memory; copies are what costs.
+            more = np.empty((len(self.data), 3 * self.count + 16))
             more[:, :first] = self.data[:, :first]
             self.data = more
         self.data[:, first : self.count] = columns
@@ -165,7 +152,7 @@ class Level:
 def layout(unknowns: int, gaussian: int, features: int, signals: int) -> tuple[Any, int]:
     """The rows of a level's data, by what they are for, and how many there are."""
     sizes = {
-        "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
+        "which": 1, "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
         "mean": gaussian, "precision": gaussian, "blurred_constant": 1,
         "blurred_precision": gaussian, "length": unknowns, "rise": 1, "other_length": 1,
         "signals": signals, "change": unknowns * features,
@@ -176,36 +163,40 @@ def layout(unknowns: int, gaussian: int, features: int, signals: int) -> tuple[A
 
 
 class Tree:
-    """The tree of an observer of one or two unknowns.
+    """The tree of one or two unknowns of an observer, the others being given at nodes.
 
     Parameters
     ----------
-    observer : TreeObserver
+    observer : Conditional
     tolerance : float
         Error of means and sds, in sds, above which a reading's lattice is refined.
     """
 
-    def __init__(self, observer: TreeObserver, tolerance: float) -> None:
+    def __init__(self, observer: Conditional, tolerance: float) -> None:
         self.observer, self.tolerance = observer, tolerance
-        # The trapezoidal rule is off by about this share of the mass. With one unknown a step
-        # more costs next to nothing.
-        share = tolerance / 2000
         self.unknowns = len(observer.unknowns)
-        self.room = np.log(1 / min(share, 1e-8 if self.unknowns == 1 else 1.0))
+        # The share of the mass by which the trapezoidal rule may be off: at this one means are up
+        # to 2e-4 sd off at k = 0.3, at 100 times it 3e-3. Sums over nodes are 60 times better. With
+        # one unknown a step more costs next to nothing.
+        self.share = tolerance / (20 if observer.values.shape[1] else 2000)
+        if self.unknowns == 1:
+            self.share = min(tolerance / 2000, 1e-8)
         # Three times as fine is 64 times the error of an edge, and any other is gone.
         self.refinements = 12 if self.unknowns == 1 else 3
         # More nats on the way, as cells are judged by their middles; cells of one unknown are few.
         self.slack = 100.0 if self.unknowns == 1 else 4.0
         self.evaluated = 0
-        self._start: Level | None = None
+        #: The coarse cells, and by number of what is given where they begin and how many they are.
+        self.start = Level(np.ones(self.unknowns), np.empty((0, 0)))
+        self.begins, self.counts = np.zeros((2, 0), dtype=int)
 
     # -- evaluation --------------------------------------------------------------------------------
 
     def _prepare(self, signals: int, scores: int) -> None:
-        noise = self.observer.noise
+        noise, circular = self.observer.observer.noise, self.observer.observer.circular
         components = noise.components(signals)
         self.gaussian = (
-            GaussianTerm(noise, signals, self.observer.circular)
+            GaussianTerm(noise, signals, circular)
             if any(c.noise.gaussian_on for c in components)
             else None
         )
@@ -213,7 +204,7 @@ class Tree:
         self.size = self.gaussian.size if self.gaussian else 0
         probe = np.ones((1, signals))
         own = sum(term.features(probe)[0].shape[1] for term in self.others)
-        self.scores, self.smooth = scores, self.observer.is_smooth
+        self.scores, self.smooth = scores, self.observer.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
         own_signals = signals if self.others else 0
@@ -235,11 +226,12 @@ class Tree:
         return change
 
     def _columns(
-        self, place: Array, at: Evaluated, scale: Array, change: Array, level: Level
+        self, which: Index, place: Array, at: Evaluated, scale: Array, change: Array, level: Level
     ) -> Array:
         """All that readings ask of cells at integer places (N, U): columns (rows, N).
 
-        `change` (U, N, F) is by how much features change across a cell along each axis.
+        `which` (N,) says what is given; `change` (U, N, F) is by how much features change across a
+        cell along each axis.
         """
         rows, size = self.rows, self.size
         out = np.empty((self.height, len(place)))
@@ -257,6 +249,7 @@ class Tree:
             score = np.abs(at.scores)
             nearer = np.maximum(score - total[:, -1 - self.scores : -1] / 2, 0.0)
             rise = 0.5 * (score**2 - nearer**2).sum(axis=1) + 0.5 * total[:, -1]
+            out[rows.which] = which
             out[rows.place], out[rows.contact] = place.T, at.contact[:, : self.unknowns].T
             out[rows.log_prior] = log_prior
             constant = self.gaussian.constant if self.gaussian else 0.0
@@ -267,7 +260,10 @@ class Tree:
                 out[rows.mean] = self.gaussian.features(at.signals)[0].T
             # Flat priors are as wide as 1 or so in the coordinates, for which a step counts.
             own = (2.5 * level.step) ** 2
-            square = np.square(change[..., :-1] / scale).sum(axis=2) + own[:, None]
+            length = change[..., :-1] / scale
+            if self.gaussian:
+                length[..., :size] = length[..., :size] @ self.gaussian.root.T
+            square = np.square(length).sum(axis=2) + own[:, None]
             out[rows.length], out[rows.rise] = np.sqrt(square), rise
             other = (
                 total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]
@@ -279,63 +275,81 @@ class Tree:
         self.evaluated += len(place)
         return out
 
-    @property
-    def start(self) -> Level:
-        """The coarse cells over all contacts.
+    def _begin(self, which: Index) -> None:
+        """Evaluate the coarse cells over all contacts where there are none, at numbers (n,).
 
         They and how much signals change across them are read off a lattice of half the step: the
         change along an axis from its middle to either side, and the range over all 3^U points, by
         which it is raised where signals are not monotonic.
         """
-        if self._start is None:
-            low, high = self.observer.ends()
-            unknowns = self.unknowns
-            root = ROOT_STEP if unknowns > 1 else ROOT_STEP / 16
-            step = np.full(unknowns, root)
-            first = np.floor(low / step).astype(int)
-            count = np.ceil(high / step).astype(int) + 1 - first
-            pairs = zip(first, count, strict=True)
-            axes = [0.5 * (2 * f + np.arange(2 * n + 1)) * root for f, n in pairs]
-            x = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
-            at = self.observer.evaluate(x)
+        new = np.setdiff1d(which, np.flatnonzero(self.counts >= 0))
+        if not new.size:
+            return
+        low, high = self.observer.ends()
+        unknowns = self.unknowns
+        root = ROOT_STEP if unknowns > 1 else ROOT_STEP / 16
+        step = np.full(unknowns, root)
+        first = np.floor(low / step).astype(int)
+        count = np.ceil(high / step).astype(int) + 1 - first
+        pairs = zip(first, count, strict=True)
+        axes = [0.5 * (2 * f + np.arange(2 * n + 1)) * root for f, n in pairs]
+        x = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
+        at = self.observer.evaluate(np.tile(x, (new.size, 1)), np.repeat(new, len(x)))
+        if not self.start.count:
             self._prepare(at.signals.shape[1], at.scores.shape[1])
-            features, scale = self._features(at)
-            shape = tuple(2 * count + 1)
-            held = np.isfinite(at.log_prior).reshape(shape)
-            grid = features.reshape(*shape, -1)
+            self.start = Level(step, np.empty((self.height, 0)))
+        features, scale = self._features(at)
+        shape = new.size, *(2 * count + 1)
+        held = np.isfinite(at.log_prior).reshape(shape)
+        grid = features.reshape(*shape, -1)
 
-            def moved(corner: Sequence[int]) -> tuple[slice, ...]:
-                return tuple(slice(c, c + 2 * n, 2) for c, n in zip(corner, count, strict=True))
+        def moved(corner: Sequence[int]) -> tuple[slice, ...]:
+            pairs = zip(corner, count, strict=True)
+            return slice(None), *(slice(c, c + 2 * n, 2) for c, n in pairs)
 
-            centre = moved([1] * unknowns)
-            middle, inside = grid[centre], held[centre]
+        centre = moved([1] * unknowns)
+        middle, inside = grid[centre], held[centre]
 
-            def off(corner: Sequence[int]) -> Array:
-                """How far features at a corner (0, 1 or 2 along each axis) are off the middle's."""
-                with np.errstate(invalid="ignore"):
-                    value = np.abs(self._between(grid[moved(corner)] - middle))
-                    value[..., -1] = np.maximum(grid[moved(corner)] - middle, 0.0)[..., -1]
-                return np.where((inside & held[moved(corner)])[..., None], value, 0.0)
+        def off(corner: Sequence[int]) -> Array:
+            """How far features at a corner (0, 1 or 2 along each axis) are off the middle's."""
+            with np.errstate(invalid="ignore"):
+                value = np.abs(self._between(grid[moved(corner)] - middle))
+                value[..., -1] = np.maximum(grid[moved(corner)] - middle, 0.0)[..., -1]
+            return np.where((inside & held[moved(corner)])[..., None], value, 0.0)
 
-            change = np.zeros((unknowns, *middle.shape))
-            for d in range(unknowns):
-                for side in (0, 2):
-                    corner = [1] * unknowns
-                    corner[d] = side
-                    change[d] = np.maximum(change[d], 2 * off(corner))
-            farthest = np.max([off(c) for c in product((0, 1, 2), repeat=unknowns)], axis=0)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                more = np.nan_to_num(2 * farthest / change.sum(axis=0), posinf=1.0, nan=1.0)
-            change[..., :-1] *= np.maximum(more, 1.0)[..., :-1]
-            place = np.indices(count).reshape(unknowns, -1).T + first
-            chosen = np.flatnonzero(inside.ravel())
-            cells = np.arange(held.size).reshape(shape)[centre].ravel()[chosen]
-            level = Level(step, np.empty((self.height, 0)))
-            own = Evaluated(*(column[cells] for column in at))
-            change = change.reshape(unknowns, -1, features.shape[1])[:, chosen]
-            level.add(self._columns(place[chosen], own, scale[cells], change, level))
-            self._start = level
-        return self._start
+        change = np.zeros((unknowns, *middle.shape))
+        for d in range(unknowns):
+            for side in (0, 2):
+                corner = [1] * unknowns
+                corner[d] = side
+                change[d] = np.maximum(change[d], 2 * off(corner))
+        farthest = np.max([off(c) for c in product((0, 1, 2), repeat=unknowns)], axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            more = np.nan_to_num(2 * farthest / change.sum(axis=0), posinf=1.0, nan=1.0)
+        change[..., :-1] *= np.maximum(more, 1.0)[..., :-1]
+        for d in range(unknowns):  # with signs, for signals whose noise is correlated
+            before, after = (
+                moved([1 + side * (i == d) for i in range(unknowns)]) for side in (-1, 1)
+            )
+            with np.errstate(invalid="ignore"):
+                change[d] = (
+                    np.where(self._between(grid[after] - grid[before]) < 0, -1, 1) * change[d]
+                )
+        place = np.tile(np.indices(count).reshape(unknowns, -1).T + first, (new.size, 1))
+        chosen = np.flatnonzero(inside.ravel())
+        cells = np.arange(held.size).reshape(shape)[centre].ravel()[chosen]
+        own = Evaluated(*(column[cells] for column in at))
+        change = change.reshape(unknowns, -1, features.shape[1])[:, chosen]
+        number = np.repeat(new, inside[0].size)[chosen]
+        begin = self.start.add(
+            self._columns(number, place[chosen], own, scale[cells], change, self.start)
+        )
+        room = max(int(new.max()) + 1 - len(self.counts), 0)
+        self.begins, self.counts = (
+            np.append(a, np.full(room, -1)) for a in (self.begins, self.counts)
+        )
+        self.counts[new] = inside.reshape(new.size, -1).sum(axis=1)
+        self.begins[new] = begin + np.cumsum(self.counts[new]) - self.counts[new]
 
     def _split(self, level: Level, pattern: tuple[int, ...], cells: Index) -> tuple[Level, Index]:
         """Halves of cells (P,) along the axes of a pattern: their level, and the first of each."""
@@ -352,7 +366,8 @@ class Tree:
             halves = np.indices(shape).reshape(unknowns, -1)
             place = level.data[self.rows.place, new][:, :, None] * np.array(shape)[:, None, None]
             place = (place + halves[:, None]).reshape(unknowns, -1).T
-            at = self.observer.evaluate((place + 0.5) * child.step)
+            which = np.repeat(level.data[self.rows.which.start, new].astype(np.intp), parts)
+            at = self.observer.evaluate((place + 0.5) * child.step, which)
             features, scale = self._features(at)
             before = level.data[self.rows.change, new].reshape(unknowns, self.features, -1)
             before = before.transpose(0, 2, 1) / np.array(shape)[:, None, None]
@@ -360,58 +375,52 @@ class Tree:
             held = np.isfinite(at.log_prior).reshape(len(new), *shape)
             grid = np.where(np.isfinite(features), features, 0.0).reshape(len(new), *shape, -1)
             for d in np.flatnonzero(pattern):
-                rise = np.abs(self._between(np.diff(grid, axis=1 + d)))
-                rise = np.broadcast_to(rise, grid.shape)
+                rise = self._between(np.diff(grid, axis=1 + d))
+                rise = np.broadcast_to(rise, grid.shape).reshape(change[d].shape)
                 both = np.broadcast_to(held.all(axis=1 + d, keepdims=True), held.shape)
                 # Where one half is not held, the change is half of what it was across both; nor
                 # is it trusted to be far less than that.
-                least = 0.5 * change[d]
-                found = np.maximum(rise.reshape(least.shape), least)
+                found = np.copysign(np.maximum(np.abs(rise), 0.5 * np.abs(change[d])), rise)
                 change[d] = np.where(both.reshape(-1, 1), found, change[d])
-            columns = self._columns(place, at, scale, change, child)
+            columns = self._columns(which, place, at, scale, change, child)
             first[new] = child.add(columns) + parts * np.arange(len(new), dtype=np.int32)
         level.children[pattern] = child, first
         return child, first[cells].astype(np.intp)
 
     def forget(self) -> None:
         """Let go of all cells but the coarse ones."""
-        if self._start is not None:
-            self._start.children.clear()
-            self.evaluated = self._start.count
+        self.start.children.clear()
+        self.evaluated = self.start.count
 
     @property
     def bytes(self) -> int:
-        """Memory of the cells: of the room for them, and of where the halves of each begin."""
-        return int(1.5 * (8 * self.height + 4) * self.evaluated) if self._start else 0
+        """Memory of the cells, and of where the halves of each begin."""
+        return (8 * self.height + 4) * self.evaluated if self.start.count else 0
 
     # -- readings ----------------------------------------------------------------------------------
 
     def sums(
-        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP,
-        least: Array | None = None,
+        self, readings: Array, covariance: Array | None = None, *, which: Index | None = None,
+        drop: float = DROP, least: Array | None = None,
     ) -> Sums:  # fmt: skip
         """The weighted cells of readings (B, R), and their moments.
 
-        With the covariances (B, R, R) of measurement errors, which add to the receptors' noise;
-        cells whose density is `drop` nats below the highest are left out. A reading some of whose
-        cells were left out too early descends again, three times in all at most; with `least` (B,)
-        none does, and those whose ln of the density is nowhere above that have no sums.
+        With the covariances (B, R, R) of measurement errors, which add to the receptors' noise, and
+        the numbers (B,) of what is given, the first by default; cells whose density is `drop` nats
+        below the highest are left out. A reading some of whose cells were left out too early
+        descends again, three times in all at most; with `least` (B,) none does, and those whose ln
+        of the density is nowhere above that have no sums.
         """
-        out = Sums(len(readings), self.unknowns, self.observer)
-        start = self.start
-        if not start.count:  # no contact at all
-            return out
-        # Pairs of a chunk's readings with the coarse cells are held at once.
-        size = int(np.clip(PAIRS // start.count, 1, 512))
-        for begin in range(0, len(readings), size):
+        which = np.zeros(len(readings), dtype=int) if which is None else which
+        out = Sums(len(readings), self.unknowns, self.observer, which)
+        for rows in self._chunks(which, 512):
             if self.bytes > MEMORY:
                 self.forget()
-            rows = np.arange(begin, min(begin + size, len(readings)))
             deeper = np.full(len(rows), drop)
             # Again where cells turn out to have been left out too early.
             for _ in range(3 if least is None else 1):
                 own = None if covariance is None else covariance[rows]
-                descent = Descent(self, readings[rows], own, rows, deeper, out)
+                descent = Descent(self, readings[rows], own, which[rows], rows, deeper, out)
                 descent.run(np.full(len(rows), -np.inf) if least is None else least[rows])
                 missed = descent.missed(drop)
                 rows, deeper = rows[missed > 0], (deeper + missed + 1)[missed > 0]
@@ -423,29 +432,46 @@ class Tree:
         out.log_evidence[out.log_evidence < -1e8] = np.nan
         return out
 
-    def glimpse(self, readings: Array, covariance: Array | None = None) -> Array:
+    def glimpse(self, readings: Array, covariance: Array | None, which: Index) -> Array:
         """ln of the highest density of readings (B, R) as coarse cells have it, (B,)."""
-        out, count = np.full(len(readings), -np.inf), self.start.count
-        size = max(1, PAIRS // max(count, 1))
-        for begin in range(0, len(readings) if count else 0, size):
-            rows = np.arange(begin, min(begin + size, len(readings)))
+        out = np.full(len(readings), -np.inf)
+        for rows in self._chunks(which, len(which)):
             own = None if covariance is None else covariance[rows]
-            descent = Descent(self, readings[rows], own, rows, np.zeros(len(rows)), None)
+            none = np.zeros(len(rows))
+            descent = Descent(self, readings[rows], own, which[rows], rows, none, None)
             task = descent.first()
             log = descent.log(task.level, task.row, task.cell, blurred=True)
-            out[rows] = log.reshape(len(rows), count).max(axis=1) + descent.log_slope
+            first = np.flatnonzero(np.diff(task.row, prepend=-1))
+            out[rows] = np.maximum.reduceat(log, first) + descent.log_slope
         return out
+
+    def _chunks(self, which: Index, most: int) -> Iterator[Index]:
+        """Readings, some at a time, but for those that no contact can be of where that is given.
+
+        Their pairs with the coarse cells are held at once.
+        """
+        self._begin(which)
+        some = np.flatnonzero(self.counts[which] > 0)
+        size = (
+            int(np.clip(PAIRS // max(self.counts.max(initial=1), 1), 1, most)) if len(some) else 1
+        )
+        for begin in range(0, len(some), size):
+            yield some[begin : begin + size]
 
 
 # -- trees that are kept ---------------------------------------------------------------------------
 
-_kept: OrderedDict[tuple[Any, float], Tree] = OrderedDict()
+_kept: OrderedDict[tuple[Any, int, float], Tree] = OrderedDict()
 
 
-def tree_of(observer: TreeObserver, tolerance: float) -> Tree:
-    """The tree of an observer, kept for the next reading; the least used go first."""
-    key = observer, tolerance
-    tree = _kept.pop(key, None) or Tree(observer, tolerance)
+def tree_of(observer: Observer, tolerance: float, inner: int | None = None) -> Tree:
+    """The tree of an observer, kept for the next reading; the least used go first.
+
+    Of its first `inner` unknowns, by default all.
+    """
+    inner = len(observer.unknowns) if inner is None else inner
+    key = observer, inner, tolerance
+    tree = _kept.pop(key, None) or Tree(Conditional(observer, inner), tolerance)
     total = sum(other.bytes for other in _kept.values()) + tree.bytes
     while total > MEMORY and _kept:
         total -= _kept.popitem(last=False)[1].bytes

@@ -103,8 +103,8 @@ class Sums:
         ln of the density of a reading over that of what cells take for it.
     """
 
-    def __init__(self, count: int, unknowns: int, observer: Any) -> None:
-        self.observer = observer
+    def __init__(self, count: int, unknowns: int, observer: Any, which: Index) -> None:
+        self.observer, self.which = observer, which
         self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
         self.log_evidence, self.log_slope = np.full((2, count), np.nan)
         self.error, self._part = np.full(count, np.inf), np.full(count, -1)
@@ -218,7 +218,7 @@ class Sums:
         if unknown == 0:
             for rows, start, step, log in self.marginals(among):
                 x, log = interpolate(log, PARTS[0] // stride)
-                value = self.observer.space.distance(start[:, None] + step * x)
+                value = self.observer.distance(start[:, None] + step * x, self.which[rows])
                 yield spans_between(rows, value, log)
             return
         for leaves in self.leaves(among):
@@ -258,7 +258,7 @@ class Sums:
         row, i, j = np.nonzero(inside)
         x = np.stack([low[0, row] + 0.5 + offsets[1][i], low[1, row] + 0.5 + offsets[0][j]], axis=1)
         value = np.zeros(log.shape)
-        value[row, i, j] = self.observer.contact_at(x * step)[:, 1]
+        value[row, i, j] = self.observer.contact_at(x * step, self.which[leaves.rows[row]])[:, 1]
         density = np.exp(log - top[:, None, None])
         return _of_cells(leaves.rows, inside, value, density)
 
@@ -289,7 +289,7 @@ class Sums:
         out = np.full((*self.mean.shape[:1], count, self.mean.shape[1]), np.nan)
         for row in np.flatnonzero(np.isfinite(self.log_evidence)):
             x, log_proposed = self.proposals(OVER * count, rng, int(row))
-            log, contact = self.observer.log_density_and_contact(x, readings[row])
+            log, contact = self.observer.observer.log_density_and_contact(x, readings[row])
             out[row] = contact[resampled(log - log_proposed, count, rng)]
         return out
 

@@ -21,9 +21,8 @@ from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize.elementwise import find_root
 
-from .._util.values import Array, Codes, Flags, Index
+from .._util.values import Array, Codes, Flags, Index, distinct
 from ..whisker import YOUNGS_MODULUS, Whisker
 from . import profile as planar
 from . import rod
@@ -283,7 +282,7 @@ class CurvedSurface:
         r, which = np.asarray(r, dtype=float) / self.length, cast(Any, slice(None))
         # Grids have many pushes at one distance and azimuth, where most of the work is.
         if any(a.size > 1 for a in given):
-            (r, *given), which = _distinct(r, *given)
+            (r, *given), which = distinct(r, *given)
         elif r.size > 64 and (kinds := np.unique(r, return_inverse=True))[0].size < r.size / 2:
             r, which = kinds
         poly = self._polynomials(given)
@@ -309,18 +308,18 @@ class CurvedSurface:
         out = np.where(place.known, place.last, np.nan)
         if place.far.any():
             arcs, c = self._arcs_at(place), np.linspace(1.0, 0.0, 25)
-            beyond = basis(self._across, c).T @ arcs > 1
-            beyond[0] = False
-            slips = np.flatnonzero(beyond.any(axis=0))
-            first = beyond[:, slips].argmax(axis=0)
-
-            def excess(c: Array, at: Array) -> Array:
-                terms = arcs[:, at.astype(np.intp)]
-                return np.asarray((basis(self._across, c) * terms).sum(axis=0) - 1)
-
-            found = find_root(excess, (c[first], c[first - 1]), args=(slips.astype(float),))
-            end = np.where(found.success, found.x, c[first - 1])
-            out[np.flatnonzero(place.far)[slips]] *= 1 - end**2
+            over = basis(self._across, c).T @ arcs - 1
+            over[0] = np.minimum(over[0], 0.0)
+            slips = np.flatnonzero((over > 0).any(axis=0))
+            first, terms = (over[:, slips] > 0).argmax(axis=0), arcs[:, slips]
+            held, lost = c[first - 1], c[first]
+            below, above = over[first - 1, slips], over[first, slips]
+            for _ in range(8):  # false position: all but straight, each is some 40 times closer
+                at = held + (lost - held) * below / (below - above)
+                value = (basis(self._across, at) * terms).sum(axis=0) - 1
+                held, below = np.where(value > 0, [held, below], [at, value])
+                lost, above = np.where(value > 0, [at, value], [lost, above])
+            out[np.flatnonzero(place.far)[slips]] *= 1 - at**2
         return out[place.which]
 
     def __call__(self, r: Array, push: Array, *given: Any) -> tuple[Array, Codes]:
@@ -353,16 +352,6 @@ class CurvedSurface:
         lost = np.where(push < 0, Outcome.NO_TOUCH, lost)
         lost = np.where(known, lost, Outcome.OUT_OF_REACH)
         return out, np.where(held, Outcome.HELD, lost).astype(np.int8)
-
-
-def _distinct(*given: Array) -> tuple[list[Array], Index]:
-    """The distinct combinations (m,) of values (n,), and which each is."""
-    values, codes = zip(*(np.unique(a, return_inverse=True) for a in given), strict=True)
-    shape = tuple(v.size for v in values)
-    kinds, which = np.unique(
-        np.ravel_multi_index(np.broadcast_arrays(*codes), shape), return_inverse=True
-    )
-    return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
 
 
 @lru_cache(maxsize=256)

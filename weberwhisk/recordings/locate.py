@@ -208,12 +208,13 @@ def locate(
     def of(*laws: Any) -> Cases:
         return cases_of(whisker, cue, bow, side, laws, prior)
 
-    given = of(lambda own, inner: _receptors(noise, own, inner))
+    receptor_noise = isinstance(noise, ReceptorNoise)
+    given = of(noise if receptor_noise else partial(_receptors, noise))
     learnt = Learnt(np.ones((1, 1)))
     receptors = covariance is None or noise is not None
     cases = given if receptors else of(without_receptors)
     if learns:
-        learnt = learn([c[0] for c in given.cases], given.log_prior, y, touches)
+        learnt = learn(given, y, touches)
         cases = of(*(partial(scaled, factor=factor) for factor in learnt.factors))
     status, numbers = _rows(cases, y, covariance, receptors, progress)
     status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,19 +135,17 @@ def curvature_at(log: Callable[[Array], Any], x: Array, step: float) -> Array:
     return np.asarray((out + out.T) / 2)
 
 
-def learn(
-    members: Sequence[Sequence[tuple[Index, Observer]]], log_prior: Array, y: Array, touch: Index,
-) -> Learnt:  # fmt: skip
+def learn(cases: Cases, y: Array, touch: Index) -> Learnt:
     """Learn a table's noise from redundant signals and from the agreement of rows of a touch.
 
-    `members` holds, for each of N possible whiskers, the rows of either side and their observer;
-    `log_prior` (N,) is that of the whiskers; `y` (n, S); `touch` (n,) is −1 for rows in none.
+    Of the possible whiskers of `cases`, with the first noise there; `y` (n, S); `touch` (n,) is −1
+    for rows in none.
 
     Rows of one touch may share their noise (a wrong direction of the force, say), so together they
     count as one row. Their scatter about one distance is a lower bound of the noise; above it the
     prior is flat in the logarithm.
     """
-    observer, size = members[0][0][1], y.shape[1]
+    observer, size = cases.cases[0][0][0][1], y.shape[1]
     usual = observer.noise.weber_fractions(size)
     middle = np.full(size, np.log(USUAL / usual.max(initial=1e-300)))
     rows = _chosen(y, touch)
@@ -158,18 +157,20 @@ def learn(
     covariance, said = SPREAD**2 * np.eye(size), []
     if not (redundant or several.size):
         return Learnt(_star(middle, covariance, usual))
-    lattices = [[(np.flatnonzero(np.isin(rows, own)), Lattice(o)) for own, o in member]
-                for member in members]  # fmt: skip
+    lattices = [[(np.flatnonzero(np.isin(rows, own)), Lattice(o)) for own, o in first]
+                for first, *_ in cases.cases]  # fmt: skip
+    share = np.exp(cases.log_prior - logsumexp(cases.log_prior))[:, None]
 
     def evidence(factor: Array) -> tuple[Array, Array]:
         """ln evidence of each row (B,), and of each touch relative to that of its rows."""
         each, both = [], []
-        for member in lattices:
+        for member, stiffness in product(lattices, cases.stiffness):
             layers = np.full((len(rows), LATTICE), -np.inf)
             prior = np.zeros((len(rows), LATTICE))
             for own, lattice in member:
-                layers[own] = lattice.layers(y[rows[own]], np.exp(factor))
+                layers[own] = lattice.layers(y[rows[own]] / stiffness, np.exp(factor))
                 prior[own] = lattice.prior
+            layers -= size * np.log(stiffness)
             one = logsumexp(layers, axis=1)
             together = []
             for t in several:
@@ -180,7 +181,6 @@ def learn(
                 together.append(logsumexp(total) - one[own].sum())
             each.append(one)
             both.append(together)
-        share = np.exp(log_prior - logsumexp(log_prior))[:, None]
         return logsumexp(each, axis=0, b=share), logsumexp(both, axis=0, b=share)
 
     if redundant:
@@ -237,18 +237,21 @@ Case = list[tuple[Index, Observer]]
 class Cases(NamedTuple):
     """A case for each of N possible whiskers and J possible noises.
 
-    `shape` is the number of values of each nuisance parameter, `log_prior` (N,) their ln prior.
-    ``cases[i][j]`` lists the rows of either side with their observer.
+    `shape` is the number of values of each nuisance parameter, `log_prior` (N F,) their ln prior.
+    ``cases[i][j]`` lists the rows of either side with their observer, at each of F values of
+    `stiffness` relative to the observer's: signals and noise are proportional to it, so that
+    readings are divided by it.
     """
 
     shape: tuple[int, ...]
     log_prior: Array
+    stiffness: Array
     cases: list[list[Case]]
 
     @property
     def single(self) -> bool:
         """Whether there is nothing to mix."""
-        return len(self.cases) * len(self.cases[0]) == 1
+        return len(self.cases) * len(self.cases[0]) * len(self.stiffness) == 1
 
 
 class Mixed(NamedTuple):
@@ -270,33 +273,39 @@ def usual_bow(whisker: Any) -> float | None:
 
 
 def cases_of(
-    whisker: Any, cue: Cue, bow: float | None, side: Array, noises: Sequence[Callable[..., Any]],
-    prior: Any,
+    whisker: Any, cue: Cue, bow: float | None, side: Array, noises: Sequence[Any], prior: Any,
 ) -> Cases:  # fmt: skip
     """The cases of a whisker with unknown curvature (prior sd `bow`, or None) and stiffness.
 
-    With one noise and no `bow` the engine itself marginalises over the cue's stiffness.
+    Each of `noises` is a `ReceptorNoise`, or a function of whisker and cue that makes one, whose
+    floors are proportional to the whisker's stiffness. With one noise and no `bow` the engine
+    itself marginalises over the cue's stiffness.
     """
     every = [whisker] if bow is None else [_bent(whisker, float(s) * bow) for s in SCORES]
     scores = [np.zeros(1) if bow is None else SCORES]
-    inner: Any = cue
+    inner, stiffness = cue, np.ones(1)
     mixed = bow is not None or len(noises) > 1
     if isinstance(cue, UnknownStiffness) and mixed and cue.is_scale:
-        inner = cue.cue
-        modulus = getattr(whisker, "whisker", whisker).youngs_modulus
-        factors = np.exp(cue.spread * SCORES)
-        every = [with_modulus(w, float(f * modulus)) for w in every for f in factors]
+        inner, stiffness = cue.cue, np.exp(cue.spread * SCORES)
         scores = [SCORES] if bow is None else [SCORES, SCORES]
+        if any(isinstance(law, ReceptorNoise) and not law.is_scale_family for law in noises):
+            modulus = getattr(whisker, "whisker", whisker).youngs_modulus
+            every = [with_modulus(w, float(f * modulus)) for w in every for f in stiffness]
+            stiffness = np.ones(1)
+
+    def noise_of(law: Any, own: Any) -> Any:
+        return law if isinstance(law, ReceptorNoise) else law(own, inner)
+
     squares = np.square(np.meshgrid(*scores, indexing="ij")).sum(axis=0)
     cases = [
         [
-            [(rows, Observer(own, inner, noise(own, inner), prior or {}))
+            [(rows, Observer(own, inner, noise_of(law, own), prior or {}))
              for rows, own in by_side(side, w)]
-            for noise in noises
+            for law in noises
         ]
         for w in every
     ]  # fmt: skip
-    return Cases(squares.shape, -0.5 * squares.ravel(), cases)
+    return Cases(squares.shape, -0.5 * squares.ravel(), stiffness, cases)
 
 
 def _bent(whisker: Any, curvature: float) -> Any:
@@ -330,16 +339,14 @@ def rows_of(
         some = rows[begin : begin + 512]
         place = np.full(len(y), -1)
         place[some] = np.arange(len(some))
-        log = np.full((len(cases.cases), len(cases.cases[0]), len(some)), -np.inf)
-        table = np.full((*log.shape, len(p) + 6), np.nan)
-        for i, j in np.ndindex(log.shape[:2]):
+        log, table = _empty(cases, len(some), len(p) + 6)
+        for i, j in np.ndindex(len(log), log.shape[2]):
             for own, observer in cases.cases[i][j]:
                 mine = own[place[own] >= 0]
                 if mine.size:
                     errors = None if covariance is None else covariance[mine]
-                    log[i, j, place[mine]], table[i, j, place[mine]] = _row(
-                        observer, y[mine], errors, p
-                    )
+                    found = _row(observer, y[mine], errors, p, cases.stiffness)
+                    log[i, :, j][:, place[mine]], table[i, :, j][:, place[mine]] = found
         out.append(_mixed(cases, log, table, len(p)))
         progress(begin + len(some))
     if not out:
@@ -347,7 +354,21 @@ def rows_of(
     return Mixed(*(np.concatenate(parts) for parts in zip(*out, strict=True)))
 
 
-def _row(observer: Observer, y: Array, errors: Array | None, p: Array) -> tuple[Array, Array]:
+def _empty(cases: Cases, n: int, numbers: int) -> tuple[Array, Array]:
+    """ln evidence (N, F, J, n), −inf, and numbers (N, F, J, n, K), NaN, for n posteriors."""
+    shape = len(cases.cases), len(cases.stiffness), len(cases.cases[0]), n
+    return np.full(shape, -np.inf), np.full((*shape, numbers), np.nan)
+
+
+def _row(
+    observer: Observer, y: Array, errors: Array | None, p: Array, stiffness: Array
+) -> tuple[Array, Array]:
+    """ln evidence (F, n) and numbers (F, n, K) of readings (n, S) at each stiffness (F,)."""
+    shape = len(stiffness), *y.shape
+    y = (y / stiffness[:, None, None]).reshape(-1, shape[-1])
+    if errors is not None:
+        errors = errors / stiffness[:, None, None, None] ** 2
+        errors = errors.reshape(-1, *errors.shape[2:])
     found = sums_of(observer, y, errors)
     table = np.zeros((len(y), len(p) + 6))
     table[:, : len(p)] = found.quantiles(p, 0)
@@ -361,7 +382,8 @@ def _row(observer: Observer, y: Array, errors: Array | None, p: Array) -> tuple[
     table[:, len(p) + ERROR] = found.error
     off = np.abs(y - observer.noise.mean(signals)) / np.sqrt(variance)
     table[:, len(p) + OFF] = off.max(axis=1)
-    return np.nan_to_num(found.log_evidence, nan=-np.inf), table
+    log = np.nan_to_num(found.log_evidence, nan=-np.inf).reshape(shape[:2])
+    return log - shape[-1] * np.log(stiffness)[:, None], table.reshape(*shape[:2], -1)
 
 
 def touches_of(
@@ -374,28 +396,30 @@ def touches_of(
     the prior of a touch's largest angle would weigh too much.
     """
     p = ENDS if cases.single else QUANTILES
-    log = np.full((len(cases.cases), len(cases.cases[0]), count), -np.inf)
-    table = np.full((*log.shape, len(p) + 2), np.nan)
+    log, table = _empty(cases, count, len(p) + 2)
     spans = SPANS if np.all(exponent == 1) else None
-    for i, j in np.ndindex(log.shape[:2]):
-        groups = []
+    signals = y.shape[1] * np.bincount(owner[owner >= 0], minlength=count)
+    for i, f, j in np.ndindex(log.shape[:3]):
+        groups, stiffness = [], cases.stiffness[f]
         for rows, observer in cases.cases[i][j]:
             at = rows[owner[rows] >= 0]
-            errors = None if covariance is None else covariance[at]
+            errors = None if covariance is None else covariance[at] / stiffness**2
             if at.size:
-                groups.append(ReadingGroup(observer, y[at], errors, owner[at]))
+                groups.append(ReadingGroup(observer, y[at] / stiffness, errors, owner[at]))
+        slope = -exponent * signals * np.log(stiffness)
         for t, found in enumerate(one_distance(groups, count, spans, exponent)):
             if np.isfinite(found.mean):
-                log[i, j, t] = found.log_evidence
-                table[i, j, t] = [*found.quantiles(p), found.mean, found.sd]
+                log[i, f, j, t] = found.log_evidence + slope[t]
+                table[i, f, j, t] = [*found.quantiles(p), found.mean, found.sd]
     return _mixed(cases, log, table, len(p))
 
 
 def _mixed(cases: Cases, log: Array, table: Array, count: int) -> Mixed:
-    """The mixture of posteriors with ln evidence `log` (N, J, n) and numbers (N, J, n, K).
+    """The mixture of posteriors with ln evidence `log` (N, F, J, n) and numbers (N, F, J, n, K).
 
     The first `count` numbers are quantiles, the next two mean and sd.
     """
+    log, table = (part.reshape(-1, *part.shape[2:]) for part in (log, table))
     if cases.single:
         return Mixed(table[0, 0, :, :count], table[0, 0, :, count:])
     n, width = log.shape[-1], table.shape[-1]

@@ -1,0 +1,80 @@
+"""An observer to whom the unknowns that have priors alone are given, at numbered nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .._util.values import Array, Index
+from ..mechanics.contact import Outcome
+from .observer import Evaluated, Observer
+
+__all__ = ["Conditional"]
+
+
+class Conditional:
+    """What a tree needs of an observer of its first `inner` unknowns, the others being given.
+
+    Their values (F,) have numbers, in the order in which they were first asked for. Where the reach
+    depends on them and no angle is unknown, distances end at a reach of each number's own.
+    """
+
+    def __init__(self, observer: Observer, inner: int) -> None:
+        self.observer = observer
+        self.unknowns = observer.unknowns[:inner]
+        self.values = np.zeros((0, len(observer.unknowns) - inner))
+        self._numbers: dict[tuple[float, ...], int] = {}
+        varies = inner < len(observer.unknowns) and observer.space.reach_varies
+        self._reaches: list[float] | None = [] if varies and observer.bounded == 1 else None
+        if not self.values.shape[1]:
+            self.number(())
+
+    def number(self, further: tuple[float, ...]) -> int:
+        """The number of values (F,)."""
+        if further not in self._numbers:
+            self._numbers[further] = len(self._numbers)
+            self.values = np.concatenate([self.values, [further]])
+            if self._reaches is not None:
+                self._reaches.append(_farthest(self.observer, further))
+        return self._numbers[further]
+
+    def given(self, which: Index) -> list[Any]:
+        """The values at numbers (n,): of each unknown (n,), or one float where all are the same."""
+        if len(which) and (which == which[0]).all():
+            return self.values[which[0]].tolist()
+        return list(self.values[which].T)
+
+    def _space(self, which: Index) -> Any:
+        space = self.observer.space
+        return space if self._reaches is None else space.reaching(np.array(self._reaches)[which])
+
+    def evaluate(self, x: Array, which: Index) -> Evaluated:
+        """Contacts, prior and signals at coordinates (N, U) and numbers (N,)."""
+        return self.observer.evaluate(x, self.given(which), self._space(which))
+
+    def contact_at(self, x: Array, which: Index) -> Array:
+        """Contacts (N, U) at coordinates (N, U) and numbers (N,), with all that is given."""
+        with np.errstate(all="ignore"):
+            return self.observer.contact(x, self.given(which), self._space(which))[0]
+
+    def distance(self, x: Array, which: Index) -> Array:
+        """The radial distances (n, L), m, at first coordinates and numbers (n,)."""
+        return np.asarray(self._space(which[:, None]).distance(x))
+
+    def ends(self) -> tuple[Array, Array]:
+        """The coordinates between which there is next to all of the prior."""
+        return self.observer.ends(len(self.unknowns))
+
+
+def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
+    """The largest distance at which contact is held where other unknowns are given, m."""
+    low, high = observer.reach
+    for _ in range(5):  # to a millionth of a millionth of the reach
+        r = np.linspace(low, high, 258)[1:-1]
+        contact = np.column_stack([r, np.tile(further, (len(r), 1))])
+        held = np.flatnonzero(observer.signals(contact)[1] == Outcome.HELD)
+        if not held.size or held[-1] == len(r) - 1:
+            return float(high)
+        low, high = r[held[-1]], r[held[-1] + 1]
+    return float(low)
