@@ -39,18 +39,11 @@ __all__ = ["SCORES", "LayeredSums"]
 SCORES = np.linspace(-4.5, 4.5, 37)
 #: Parts of a step between nodes at which conditional posteriors are interpolated.
 PARTS = 8
-
-
-@dataclass(eq=False)
-class _Node:
-    """Evidence and moments of all readings at one node; a guess alone where there is no mass."""
-
-    log: Array
-    guess: Array
-    mean: Array
-    sd: Array
-    error: Array
-    parts: list[tuple[_Part, slice]] = field(default_factory=list)
+#: What is known of a node and a reading before it is asked.
+EMPTY = {
+    "log": np.nan, "guess": -1e5, "error_at": 0.0, "mean_at": 0.0, "sd_at": 0.0, "part": -1,
+    "pair": -1,
+}  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -89,7 +82,14 @@ class LayeredSums:
         self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
         self.error, self.log_evidence = np.full(count, np.inf), np.full(count, np.nan)
         self.halvings = np.zeros((count, len(self.axes)), dtype=int)
-        self.nodes: dict[tuple[int, ...], _Node] = {}
+        #: Numbers of nodes, their places (N, D), and their numbers in the tree.
+        self.numbers: dict[tuple[int, ...], int] = {}
+        self.nodes, self.given = np.zeros((0, len(self.axes)), dtype=int), np.zeros(0, dtype=int)
+        #: Of each node and reading: ln of the evidence, or what it may be, and moments; which of
+        #: the parts it is in, and where there.
+        self.log, self.guess, self.error_at = np.zeros((3, 0, count))
+        self.mean_at, self.sd_at = np.zeros((2, 0, count, layers.inner))
+        self.part, self.pair = np.zeros((2, 0, count), dtype=np.int32)
         self.parts: list[_Part] = []
         self._solve()
 
@@ -119,46 +119,53 @@ class LayeredSums:
     def _keys(self, halvings: Index) -> list[Index]:
         return [axis.nodes(int(h)) for axis, h in zip(self.axes, halvings, strict=True)]
 
-    def _table(self, keys: list[Index], rows: Index, name: str) -> Array:
-        """A column of all nodes (..., n), or (..., n, U)."""
-        parts = [
-            getattr(self.nodes[key], name)[rows] for key in product(*map(np.ndarray.tolist, keys))
-        ]
-        return np.stack(parts).reshape(*map(len, keys), *parts[0].shape)
+    def _grid(self, keys: list[Index]) -> Index:
+        """The numbers of all nodes (...), with room for what is to be known at those that are new.
+
+        Their evidence is NaN until they are asked.
+        """
+        every = list(product(*map(np.ndarray.tolist, keys)))
+        new = [key for key in every if key not in self.numbers]
+        if new:
+            self.numbers |= zip(
+                new, range(len(self.nodes), len(self.nodes) + len(new)), strict=True
+            )
+            nodes = np.array(new)
+            self.nodes = np.concatenate([self.nodes, nodes])
+            self.given = np.append(self.given, self.layers.numbers(nodes.T))
+            for name, fill in EMPTY.items():
+                table = getattr(self, name)
+                room = np.full((len(new), *table.shape[1:]), fill, dtype=table.dtype)
+                setattr(self, name, np.concatenate([table, room]))
+        return np.array([self.numbers[key] for key in every]).reshape(*map(len, keys))
 
     def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
         """Ask the tree at all nodes that may have mass."""
-        every = list(product(*map(np.ndarray.tolist, keys)))
-        count, inner = len(self.readings), self.layers.inner
-        bound = self._bound(keys, rows, *before) if before else None
-        for key in every:
-            if key not in self.nodes:
-                self.nodes[key] = _Node(
-                    np.full(count, np.nan), np.full(count, -1e5), np.zeros((count, inner)),
-                    np.zeros((count, inner)), np.zeros(count),
-                )  # fmt: skip
-            node = self.nodes[key]
-            if bound is not None and key in bound:
-                without, guess = bound[key]
-                without = np.isnan(node.log[rows]) & without
-                node.log[rows[without]] = -np.inf
-                node.guess[rows[without]] = guess[without]
-        new = [key for key in every if np.isnan(self.nodes[key].log[rows]).any()]
-        known = self._table(keys, rows, "log").reshape(-1, len(rows))
-        best = np.full(count, -np.inf)
-        best[rows] = np.where(np.isnan(known), -np.inf, known).max(axis=0)
+        grid = self._grid(keys).ravel()
+        at = np.ix_(grid, rows)
+        if before:
+            without, guess = self._bound(keys, rows, *before)
+            without &= np.isnan(self.log[at])
+            self.log[at] = np.where(without, -np.inf, self.log[at])
+            self.guess[at] = np.where(without, guess, self.guess[at])
+        best = np.full(len(self.readings), -np.inf)
+        best[rows] = np.fmax.reduce(self.log[at], axis=0, initial=-np.inf)
+        new = np.isnan(self.log[at])
         if not before:  # first the node where each reading is most probable at a glance
-            most = self._glimpse(new, rows).argmax(axis=0)
-            self._ask([(new[i], rows[most == i]) for i in np.unique(most)], best)
-        unasked = [(key, rows[np.isnan(self.nodes[key].log[rows])]) for key in new]
-        self._ask([(key, own) for key, own in unasked if own.size], best)
+            node, row = np.nonzero(np.ones_like(new))
+            readings, covariance, slope = self._asked(grid[node], rows[row])
+            glimpse = self.layers.tree.glimpse(readings, covariance, self.given[grid[node]]) + slope
+            most = np.zeros_like(new)
+            most[glimpse.reshape(new.shape).argmax(axis=0), np.arange(len(rows))] = True
+            self._ask(grid, rows, most & new, best)
+        self._ask(grid, rows, np.isnan(self.log[at]), best)
 
     def _bound(
         self, keys: list[Index], rows: Index, halvings: Index, before: Index
-    ) -> dict[tuple[int, ...], tuple[Flags, Array]]:
-        """Whether new nodes have next to no mass, by their neighbours, and the evidence there."""
-        old = self._keys(halvings)
-        log = self._table(old, rows, "guess")
+    ) -> tuple[Flags, Array]:
+        """Whether nodes (N, n) have next to no mass, by those beside them, and a guess of it."""
+        old = self._grid(self._keys(halvings))
+        log = self.guess[np.ix_(old.ravel(), rows)].reshape(*old.shape, len(rows))
         # Between nodes it may be higher by an eighth of its second difference, as a parabola is:
         # twice that is allowed for.
         rise = np.zeros_like(log)
@@ -169,92 +176,61 @@ class LayeredSums:
                 pad = [(1, 1) if i == d else (0, 0) for i in range(log.ndim)]
                 second = np.diff(np.pad(log, pad, mode="reflect", reflect_type="odd"), 2, axis=d)
             rise += np.abs(second) / 4
-        top = log.reshape(-1, len(rows)).max(axis=0)
-        possible = log + rise > top - self.drop
-        out = {}
-        places = [{int(k): i for i, k in enumerate(o)} for o in old]
-        for key in product(*map(np.ndarray.tolist, keys)):
-            near = []
-            for k, axis, o, at in zip(key, self.axes, old, places, strict=True):
-                if k in at:
-                    near.append([at[k]])
-                    continue
-                step = int(o[1] - o[0])
-                i = int((k - o[0]) // step)
-                after = (i + 1) % len(o) if axis.around else i + 1
-                near.append([i, after])
-            if any(len(n) > 1 for n in near):
-                beside = list(product(*near))
-                without = ~np.any([possible[i] for i in beside], axis=0)
-                out[key] = without, np.mean([log[i] for i in beside], axis=0)
-        return out
+        possible = log + rise > log.reshape(-1, len(rows)).max(axis=0) - self.drop
+        for d, (axis, own) in enumerate(zip(self.axes, keys, strict=True)):
+            if len(own) > old.shape[d]:  # a new node between any two
+                log, possible = np.moveaxis(log, d, 0), np.moveaxis(possible, d, 0)
+                after, later = np.roll(log, -1, axis=0), np.roll(possible, -1, axis=0)
+                log = np.stack([log, (log + after) / 2], axis=1).reshape(-1, *log.shape[1:])
+                both = np.stack([possible, possible | later], axis=1)
+                possible = both.reshape(-1, *possible.shape[1:])
+                end = None if axis.around else -1
+                log, possible = np.moveaxis(log[:end], 0, d), np.moveaxis(possible[:end], 0, d)
+        return ~possible.reshape(-1, len(rows)), log.reshape(-1, len(rows))
 
-    def _asked(
-        self, pairs: list[tuple[tuple[int, ...], Index]]
-    ) -> tuple[Array, Array | None, Index, Array]:
-        """What to ask of the tree of pairs of a node and its readings.
+    def _asked(self, nodes: Index, rows: Index) -> tuple[Array, Array | None, Array]:
+        """What to ask of the tree of pairs (P,) of the number of a node and a reading.
 
-        Readings, covariances, numbers of what is given, and ln of Jacobian times prior.
+        Readings, covariances, and ln of Jacobian times prior.
         """
-        nodes = np.array([key for key, _ in pairs]).T
-        values, which = self.layers.values(nodes), self.layers.numbers(nodes)
-        slopes, asked = self.layers.log_prior(nodes, values), []
-        for i, (_, rows) in enumerate(pairs):
-            covariance = None if self.covariance is None else self.covariance[rows]
-            at = [float(value[i]) for value in values]
-            own, covariance, more = self.layers.asked(self.readings[rows], covariance, at)
-            size = len(rows)
-            asked.append(
-                (own, covariance, np.full(size, which[i]), np.full(size, slopes[i] + more))
-            )
-        columns = list(zip(*asked, strict=True))
-        own, number, slope = (np.concatenate(columns[i]) for i in (0, 2, 3))
-        return own, None if self.covariance is None else np.concatenate(columns[1]), number, slope
+        at = self.nodes[nodes].T
+        values = self.layers.values(at)
+        covariance = None if self.covariance is None else self.covariance[rows]
+        readings, covariance, more = self.layers.asked(self.readings[rows], covariance, values)
+        return readings, covariance, self.layers.log_prior(at, values) + more
 
-    def _glimpse(self, keys: list[tuple[int, ...]], rows: Index) -> Array:
-        """About how probable readings are at nodes, in nats, (N, n)."""
-        readings, covariance, which, slope = self._asked([(k, rows) for k in keys])
-        log = self.layers.tree.glimpse(readings, covariance, which) + slope
-        return log.reshape(len(keys), len(rows))
-
-    def _ask(self, pairs: list[tuple[tuple[int, ...], Index]], best: Array) -> None:
-        """Sum over the cells at nodes, where they may have mass beside the `best` (B,) known."""
-        if not pairs:
+    def _ask(self, grid: Index, rows: Index, wanted: Flags, best: Array) -> None:
+        """Sum over the cells of `wanted` (N, n) nodes and rows, beside the `best` (B,) known."""
+        node, row = np.nonzero(wanted)
+        if not node.size:
             return
-        readings, covariance, which, slope = self._asked(pairs)
-        rows = np.concatenate([own for _, own in pairs])
-        least = best[rows] - 2 * self.drop
+        node, row = grid[node], rows[row]
+        readings, covariance, slope = self._asked(node, row)
+        least = best[row] - 2 * self.drop
         found = self.layers.tree.sums(
-            readings, covariance, which=which, drop=self.drop, least=least - slope
+            readings, covariance, which=self.given[node], drop=self.drop, least=least - slope
         )
         known = np.isfinite(found.log_evidence)
-        node = np.repeat([key for key, _ in pairs], [len(own) for _, own in pairs], axis=0)
         log = np.where(known, found.log_evidence + slope, -np.inf)
-        part = _Part(found, rows, node, log)
-        self.parts.append(part)
-        np.maximum.at(best, rows, part.log)
-        begin = 0
-        for key, own in pairs:
-            at = slice(begin, begin + len(own))
-            one, begin = self.nodes[key], at.stop
-            one.log[own] = log[at]
-            one.guess[own] = np.maximum(np.where(known, log, least)[at], -1e5)
-            one.mean[own], one.sd[own] = np.nan_to_num([found.mean[at], found.sd[at]])
-            one.error[own] = np.where(known, found.error, 0.0)[at]
-            one.parts.append((part, at))
+        np.maximum.at(best, row, log)
+        self.log[node, row] = log
+        self.guess[node, row] = np.maximum(np.where(known, log, least), -1e5)
+        self.mean_at[node, row], self.sd_at[node, row] = np.nan_to_num([found.mean, found.sd])
+        self.error_at[node, row] = np.where(known, found.error, 0.0)
+        self.part[node, row], self.pair[node, row] = len(self.parts), np.arange(len(row))
+        self.parts.append(_Part(found, row, self.nodes[node], log))
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; about how far off the sums along each axis are, (D, n)."""
         inner = self.layers.inner
-        log = self._table(keys, rows, "log").reshape(-1, len(rows))
-        mean, sd = (
-            self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd")
-        )
+        number = self._grid(keys)
+        at = np.ix_(number.ravel(), rows)
+        log, mean, sd = self.log[at], self.mean_at[at], self.sd_at[at]
         top = log.max(axis=0)
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(top), np.exp(log - top), 0.0)
         best = log.argmax(axis=0)
-        grid = np.stack([a.ravel() for a in np.meshgrid(*keys, indexing="ij")])
+        grid = self.nodes[number.ravel()].T
         values, middle = [], []
         for axis, own in zip(self.axes, self.layers.values(grid), strict=True):
             value = np.broadcast_to(own[:, None], log.shape)
@@ -296,18 +272,17 @@ class LayeredSums:
         # along a friction as over a density with kinks: a third of 6.7e-3 where 2.2e-3 was missed.
         for d, axis in enumerate(self.axes):
             each[d] = each[d] ** 2 if axis.around else each[d] / 3
-        inside = (weight * self._table(keys, rows, "error").reshape(weight.shape)).sum(axis=0)
+        inside = (weight * self.error_at[at]).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
         self.log_evidence[rows] = top + np.log(total) + steps
         for i, value in enumerate(middle):
             self.best[rows, inner + i] = value
-        every = list(product(*map(np.ndarray.tolist, keys)))
-        for j in np.unique(best):
-            for part, at in self.nodes[every[j]].parts:
-                some = part.rows[at]
-                mine = np.isin(some, rows[best == j])
-                self.best[some[mine], :inner] = part.found.best[at][mine]
+        which = number.ravel()[best], rows
+        for k in np.unique(self.part[which]):
+            mine = rows[self.part[which] == k]
+            pair = self.pair[which][self.part[which] == k]
+            self.best[mine, :inner] = self.parts[k].found.best[pair]
         none = ~np.isfinite(top)
         self.error[rows[none]], self.log_evidence[rows[none]] = np.inf, np.nan
         self.mean[rows[none]], self.sd[rows[none]] = np.nan, np.nan
@@ -332,8 +307,12 @@ class LayeredSums:
 
     def _conditionals(self, keys: list[Index], rows: Index) -> tuple[Array, Array, Array]:
         """ln of the evidence (n, ..., B) below the best, and conditional means and sds."""
-        log, mean, sd = (self._table(keys, rows, name) for name in ("log", "mean", "sd"))
-        return log - log.reshape(-1, len(rows)).max(axis=0), mean, sd
+        grid = self._grid(keys)
+        at = np.ix_(grid.ravel(), rows)
+        log = self.log[at] - self.log[at].max(axis=0)
+        shape = *grid.shape, len(rows)
+        mean, sd = (table[at].reshape(*shape, -1) for table in (self.mean_at, self.sd_at))
+        return log.reshape(shape), mean, sd
 
     def _not_smooth(self, keys: list[Index], rows: Index) -> Flags:
         """Along which axes cubics between nodes are off, (D, B): by those of twice the step.
@@ -374,7 +353,7 @@ class LayeredSums:
     def _box(self, row: int) -> tuple[list[Index], Array]:
         """The nodes about the mass of one reading along each axis, and ln of the evidence there."""
         keys = self._keys(self.halvings[row])
-        log = self._table(keys, np.array([row]), "log")[..., 0]
+        log = self.log[self._grid(keys), row]
         log = np.where(np.isnan(log), -np.inf, log)
         best = np.unravel_index(log.argmax(), log.shape)
         out = []
@@ -419,8 +398,8 @@ class LayeredSums:
                 quantile = np.full((*log.shape, len(SCORES)), np.nan)
                 for i in zip(*np.nonzero(held), strict=True):
                     key = tuple(k[j] for k, j in zip(keys, i, strict=True))
-                    for part, pair in self._pairs(key, int(row)):
-                        quantile[i] = self._conditional(part, unknown)[pair]
+                    part, pair = self._place(key, int(row))
+                    quantile[i] = self._conditional(part, unknown)[pair]
                 held &= np.isfinite(quantile[..., 0])
                 quantile = quantile[..., ::stride]
                 yield mixed(at, log, held, quantile, SCORES[::stride], PARTS // stride)
@@ -441,11 +420,10 @@ class LayeredSums:
         quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*log.shape[:-1], -1)
         return np.logaddexp.reduce(log, axis=-1), np.isfinite(quantile[..., 0]), quantile
 
-    def _pairs(self, key: tuple[int, ...], row: int) -> Iterator[tuple[_Part, int]]:
+    def _place(self, key: tuple[int, ...], row: int) -> tuple[_Part, int]:
         """The sums of a reading at a node, on any turn: the part they are in, and their number."""
-        for part, where in self.nodes[self.layers.on_first_turn(key)].parts:
-            for own in np.flatnonzero(part.rows[where] == row):
-                yield part, int(where.start + own)
+        at = self.numbers[self.layers.on_first_turn(key)], row
+        return self.parts[self.part[at]], int(self.pair[at])
 
     def _conditional(self, part: _Part, unknown: int) -> Array:
         """Quantiles (n, Q) of readings at nodes, of those that have mass there."""
@@ -473,12 +451,12 @@ class LayeredSums:
             for i in np.flatnonzero(many):
                 at = np.unravel_index(i, log.shape)
                 own = tuple(k[j] for k, j in zip(keys, at, strict=True))
-                for part, pair in self._pairs(own, int(row)):
-                    proposed, log_proposed = part.found.proposals(int(many[i]), rng, pair)
-                    x.append(proposed)
-                    step = np.array([k[1] - k[0] for k in keys])
-                    z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
-                    log_of.append(log_proposed + np.log(weight[i]))
+                part, pair = self._place(own, int(row))
+                proposed, log_proposed = part.found.proposals(int(many[i]), rng, pair)
+                x.append(proposed)
+                step = np.array([k[1] - k[0] for k in keys])
+                z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
+                log_of.append(log_proposed + np.log(weight[i]))
             some, node = np.concatenate(x), np.concatenate(z)
             further = self.layers.values(node.T)
             contact, log_density = self.observer.contact(some, further=further)

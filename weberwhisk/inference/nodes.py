@@ -110,15 +110,15 @@ class Axis:
         # A narrower prior is a ridge of both azimuths, finer than their step after two halvings.
         return bool(beyond < 1e-9 and prior.std() > 2 * np.pi / (4 * TURN))
 
-    def asked(self, readings: Array, covariance: Array | None, value: float) -> Any:
-        """Readings and covariances to ask of the tree at a value, and ln of the Jacobian."""
+    def asked(self, readings: Array, covariance: Array | None, value: Array) -> Any:
+        """Readings and covariances to ask of the tree at values (P,), and ln of the Jacobian."""
         if self.known == "turned":
             readings = readings.copy()
-            readings[:, self.observer.circular] -= value
+            readings[:, self.observer.circular] -= value[:, None]
         if self.known == "scaled":
             size = readings.shape[1]
-            covariance = None if covariance is None else covariance / value**2
-            return readings / value, covariance, -size * np.log(value)
+            covariance = None if covariance is None else covariance / value[:, None, None] ** 2
+            return readings / value[:, None], covariance, -size * np.log(value)
         return readings, covariance, 0.0
 
 
@@ -176,9 +176,9 @@ class Layers:
         columns = [np.broadcast_to(value, nodes.shape[1:]) for value in out.values()]
         return np.stack(columns, axis=-1)
 
-    def asked(self, readings: Array, covariance: Array | None, values: list[float]) -> Any:
-        """Readings and covariances to ask of a tree at values, and ln of the Jacobian."""
-        slope = 0.0
+    def asked(self, readings: Array, covariance: Array | None, values: list[Array]) -> Any:
+        """Readings and covariances to ask of the tree at values (P,), and ln of the Jacobian."""
+        slope: Any = 0.0
         for axis, value in zip(self.axes, values, strict=True):
             readings, covariance, more = axis.asked(readings, covariance, value)
             slope += more

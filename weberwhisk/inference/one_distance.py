@@ -137,7 +137,7 @@ def _sums(
     """Weighted cells of some of the readings, and ln of the evidence that they stand for."""
     slope = 0.0
     if axis:
-        y, covariance, slope = axis.asked(y, covariance, float(axis.value(node)))
+        y, covariance, slope = axis.asked(y, covariance, np.repeat(axis.value(node), len(y)))
     layers = Layers(observer, TOLERANCE, given={axis.name: node} if axis else None)
     if not layers.axes:
         which = np.repeat(layers.numbers(np.empty((0, 1))), len(y)) if axis else None
