@@ -176,11 +176,9 @@ class Tree:
         self.observer, self.tolerance = observer, tolerance
         self.unknowns = len(observer.unknowns)
         # The share of the mass by which the trapezoidal rule may be off: at this one means are up
-        # to 2e-4 sd off at k = 0.3, at 100 times it 3e-3. Sums over nodes are 60 times better. With
-        # one unknown a step more costs next to nothing.
-        self.share = tolerance / (20 if observer.values.shape[1] else 2000)
-        if self.unknowns == 1:
-            self.share = min(tolerance / 2000, 1e-8)
+        # to 2e-4 sd off at k = 0.3, at 100 times it 3e-3. With one unknown a step more costs next
+        # to nothing.
+        self.share = tolerance / 2000 if self.unknowns > 1 else min(tolerance / 2000, 1e-8)
         # Three times as fine is 64 times the error of an edge, and any other is gone.
         self.refinements = 12 if self.unknowns == 1 else 3
         # More nats on the way, as cells are judged by their middles; cells of one unknown are few.
