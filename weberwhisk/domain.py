@@ -1,18 +1,8 @@
 """The domain in which every number is true, or flagged by its own error estimate.
 
-============================= ==================================================================
-whiskers                      2 to 200 mm long; radius ratio 1 to 1000, or a perfect cone
-shapes at rest                that turn by up to 2 rad; friction up to 30° (else observers refuse)
-contacts                      from 1 % of the reach to the tip; from no deflection to the fold
-Weber fractions of receptors  0.01 to 0.6
-readings                      that some contact the prior allows explains within 8 sd
-trials                        1 to 10⁶
-Weber fractions of fits       0.01 to 3
-============================= ==================================================================
-
-Outside, numbers may still be right, and one flag says what lies outside: `outside_domain` of a
-`Bending`, `Status.OUTSIDE_DOMAIN` of a posterior. No method is there for what lies outside. What
-can only be a slip of units (a whisker of 41 m) is refused where it is given.
+``docs/theory/engines.md`` has its table. Outside, numbers may still be right, and one flag says
+what lies outside: `outside_domain` of a `Bending`, `Status.OUTSIDE_DOMAIN` of a posterior. What can
+only be a slip of units (a whisker of 41 m) is refused where it is given.
 """
 
 from __future__ import annotations

@@ -1,19 +1,9 @@
 """Following a contact along a sweep, from moment and push angle alone (§2g).
 
-While a whisker is pushed on, its contact slides along the object. Without friction object and
-whisker are tangent there, so that in the world the contact moves along the whisker: with ρ the push
-angle (rotation of the base since first contact) and β the angle from the line base → contact to
-the whisker's tangent at the contact,
-
-    r d(θ_d − ρ) = tan β dr.                                                            (slip)
-
-With dM = ∂M/∂r dr + ∂M/∂θ_d dθ_d that gives the changes of r and θ_d from those of M and ρ: no map
-is looked up, and each contact builds on the one before. Where the tip is what touches, (slip) does
-not hold; nor does the algorithm.
-
-(slip) is geometry alone, and holds for a whisker that is curved at rest, and one that rubs: what it
-is like is in the moment and in β, both of which the tables of `mechanics.forward` tell. A curved
-whisker's θ_d starts at the angle at which it touches at rest.
+While a whisker is pushed on, its contact slides along the object, tangent to it. That and the
+change of the moment give the changes of r and θ_d (``docs/theory/cues.md``, Sweeping): no map is
+looked up, and each contact builds on the one before. It holds for curved and rubbing whiskers, but
+not where the tip is what touches. A curved whisker's θ_d starts where it touches at rest.
 """
 
 from __future__ import annotations
@@ -94,8 +84,8 @@ def follow(
 ) -> Track:
     """The iterative update of §2g: contact after contact, from exact moments.
 
-    The first contact is that of the compliance cue; after it each push moves the contact along
-    (slip), by the trapezoid rule, to where the moment is the one read.
+    The first contact is that of the compliance cue; after it each push makes the contact slide, by
+    the trapezoid rule, to where the moment is the one read.
 
     Parameters
     ----------
@@ -230,7 +220,7 @@ def _world(r: Array, theta: Array, push: Any) -> Array:
 
 
 class SweepFilter:
-    """The Bayesian form of §2g: contacts in question, moved by (slip), weighed by each moment.
+    """The Bayesian form of §2g: contacts in question, which slide, weighed by each moment.
 
     The state is r, θ_d and the rate of slip dr/dρ, which wanders: the object's shape is unknown,
     and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)

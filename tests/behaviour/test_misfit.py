@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from short_forms import short_or_full
+from short_forms import short_or_full, slow_but
 
 from weberwhisk.behaviour import (
     FitStatus,
@@ -49,7 +49,9 @@ def advised(fit: WeberFit) -> list[str]:
     return re.findall(r"fit_weber\((?:[^()]|\([^()]*\))*\)", fit.report())
 
 
-@pytest.mark.parametrize("trouble", ["MISFIT_STREAKS", "MISFIT_CURVE", "MISFIT_HISTORY"])
+@pytest.mark.parametrize(
+    "trouble", slow_but(["MISFIT_STREAKS", "MISFIT_CURVE", "MISFIT_HISTORY"], (0, 1))
+)
 def test_what_does_not_hold_is_the_status_and_the_advised_fit_is_better(trouble: str) -> None:
     trials = animal(trouble)
     fit = fit_weber(trials)

@@ -142,10 +142,11 @@ def animal(seed: int, engaged: float = 0.7, per_level: int = 100, **options: Any
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def animals() -> list[tuple[Trials, StateFit]]:
-    """Twenty of them; the study in `analyses/choices` has a hundred of each kind."""
-    trials = [animal(seed, 0.5 + 0.02 * seed, sessions=2, missing=0.02) for seed in range(20)]
+@pytest.fixture(scope="module", params=[8, pytest.param(20, marks=pytest.mark.slow)])
+def animals(request: pytest.FixtureRequest) -> list[tuple[Trials, StateFit]]:
+    """Some of them; the study in `analyses/choices` has a hundred of each kind."""
+    share = np.linspace(0.5, 0.88, request.param)
+    trials = [animal(seed, own, sessions=2, missing=0.02) for seed, own in enumerate(share)]
     fits = [fit_weber(one, states=3) for one in trials]
     return list(zip(trials, fits, strict=True))  # type: ignore[arg-type]
 
@@ -155,7 +156,7 @@ def test_weber_fraction_of_the_engaged_state_is_recovered(
 ) -> None:
     ends = np.array([fit.interval() for _, fit in animals])
     inside = (ends[:, 0] < 0.15) & (ends[:, 1] > 0.15)
-    assert inside.sum() >= 17  # at 95 % fewer in 3 of 1000 runs
+    assert inside.sum() >= len(inside) - 3  # at 95 % fewer in 3 of 1000 runs of 20
     off = np.log([fit.weber_fraction / 0.15 for _, fit in animals])
     assert np.sqrt(np.mean(off**2)) < 0.2
     assert all(fit.status.ok for _, fit in animals)
@@ -172,7 +173,7 @@ def test_engaged_trials_are_found_and_their_share_is_in_its_interval(
         found.append(fit.engagement["engaged"].to_numpy())
         truth.append(engaged)
         assert share == pytest.approx(found[-1].mean(), abs=1e-9)
-    assert held >= 17
+    assert held >= len(found) - 3
     p, engaged = np.concatenate(found), np.concatenate(truth)
     for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.0)):
         some = (p >= low) & (p <= high)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cues as kinds
@@ -28,7 +29,8 @@ TAPERED, CYLINDRICAL = taper(WHISKER)
 
 
 @pytest.mark.parametrize(
-    ("goal", "least"), [(Goal(bayes_factor=10), 1.0), (Goal(half_width=0.2), 0.02)]
+    ("goal", "least"),
+    slow_but([(Goal(bayes_factor=10), 1.0), (Goal(half_width=0.2), 0.02)], (0,)),
 )
 def test_the_best_scheme_reaches_more_than_even_standards(goal, least):
     """In 80 % of experiments of another seed, fitted as data are: nats, or ln of the width."""

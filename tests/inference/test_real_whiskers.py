@@ -243,7 +243,7 @@ def test_intervals_hold_the_distance_in_2000_draws(curvature, floor):
 @pytest.mark.parametrize(
     ("cue", "count", "off"),
     [
-        (UnknownCurvature(Compliance(tap_angle=0.1), 2.0), 300, 0.038),
+        (UnknownCurvature(Compliance(tap_angle=0.1), 2.0), 150, 0.053),
         *(
             pytest.param(cue, count, off, marks=pytest.mark.slow)
             for cue, count, off in (

@@ -355,13 +355,16 @@ def test_layers_pass_the_audit(name):
 
 
 def test_a_force_that_turns_round_beside_the_push_needs_no_fine_cells():
-    """As a signed size it leapt across the push: a million cells, and 40 s, for this reading."""
+    """As a signed size it leapt across the push: a million cells, and 40 s, for this reading.
+
+    Cells in which it may turn round are kept for any direction, a quarter more in all.
+    """
     observer = layered_observer("curved space", 0.1)
     tree._kept.clear()
     p = ww.posterior(observer, observer.read([35.8e-3, 0.367, 0.83], seed=1))
     assert p.status == Status.CONVERGED
     assert abs(p.mean - 35.8e-3) < 4 * p.sd
-    assert sum(kept.evaluated for kept in tree._kept.values()) < 150_000
+    assert sum(kept.evaluated for kept in tree._kept.values()) < 250_000
 
 
 @short_or_full("count", 12, 40)

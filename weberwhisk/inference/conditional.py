@@ -62,10 +62,6 @@ class Conditional:
         """The radial distances (n, L), m, at first coordinates and numbers (n,)."""
         return np.asarray(self._space(which[:, None]).distance(x))
 
-    def ends(self) -> tuple[Array, Array]:
-        """The coordinates between which there is next to all of the prior."""
-        return self.observer.ends(len(self.unknowns))
-
 
 def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
     """The largest distance at which contact is held where other unknowns are given, m."""

@@ -296,7 +296,8 @@ class LayeredSums:
             left = []
             for halvings in np.unique(self.halvings[rows], axis=0):
                 own = rows[(self.halvings[rows] == halvings).all(axis=1)]
-                bad = rough(self._keys(halvings), own) & (halvings < HALVINGS)[:, None]
+                bad = self._too_rough(self._keys(halvings), own, rough)
+                bad &= (halvings < HALVINGS)[:, None]
                 again = bad.any(axis=0)
                 if again.any():
                     finer = halvings + bad.any(axis=1)
@@ -305,50 +306,45 @@ class LayeredSums:
                     left.append(own[again])
             rows = np.concatenate(left) if left else rows[:0]
 
-    def _conditionals(self, keys: list[Index], rows: Index) -> tuple[Array, Array, Array]:
-        """ln of the evidence (n, ..., B) below the best, and conditional means and sds."""
+    def _too_rough(self, keys: list[Index], rows: Index, rough: Any) -> Flags:
+        """Along which axes posteriors at nodes are more than 1 `rough`, (D, B).
+
+        That is told ln of the evidence (n, ..., B) below the best, means, sds and what moves them
+        along the axis.
+        """
         grid = self._grid(keys)
         at = np.ix_(grid.ravel(), rows)
-        log = self.log[at] - self.log[at].max(axis=0)
         shape = *grid.shape, len(rows)
+        log = (self.log[at] - self.log[at].max(axis=0)).reshape(shape)
         mean, sd = (table[at].reshape(*shape, -1) for table in (self.mean_at, self.sd_at))
-        return log.reshape(shape), mean, sd
-
-    def _not_smooth(self, keys: list[Index], rows: Index) -> Flags:
-        """Along which axes cubics between nodes are off, (D, B): by those of twice the step.
-
-        What a node's conditional mean is off, in its own sds, moves quantiles by its share of the
-        mass; at 2.5 % that is seven times as many sds.
-        """
-        log, mean, sd = self._conditionals(keys, rows)
-        share = np.exp(log)
-        share /= share.reshape(-1, len(rows)).sum(axis=0)
         out = np.zeros((len(keys), len(rows)), dtype=bool)
         for d, axis in enumerate(self.axes):
             around = partial(_shifted, axis=d, circle=axis.around)
             with np.errstate(invalid="ignore", divide="ignore"):
-                off = mean - (9 * (around(mean, 1) + around(mean, -1))
-                              - around(mean, 3) - around(mean, -3)) / 16  # fmt: skip
-                off = np.nan_to_num(np.abs(off / sd).max(axis=-1), posinf=0.0)
-            near = np.min([around(log, k) for k in (-3, -1, 1, 3)], axis=0) > -self.drop
-            off = np.where(near, 7 * share * off, 0.0)
-            # The error of fourth order is a sixteenth of that at half the steps; an end of an
-            # interval may be 5e-3 sd off.
-            out[d] = off.reshape(-1, len(rows)).max(axis=0) / 16 > 5e-3
+                out[d] = (rough(log, mean, sd, around).reshape(-1, len(rows)) > 1).any(axis=0)
         return out
 
-    def _far_apart(self, keys: list[Index], rows: Index) -> Flags:
-        """Along which axes conditional posteriors are further apart than wide, (D, B)."""
-        log, mean, sd = self._conditionals(keys, rows)
-        out = np.zeros((len(keys), len(rows)), dtype=bool)
-        for d, axis in enumerate(self.axes):
-            around = partial(_shifted, axis=d, circle=axis.around)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = np.abs(around(mean, 1) - mean) / np.minimum(sd, around(sd, 1))
-            near = (log > -9.0) & (around(log, 1) > -9.0)
-            step = np.where(near, np.nan_to_num(step).max(axis=-1), 0.0)
-            out[d] = step.reshape(-1, len(rows)).max(axis=0) > 1.0
-        return out
+    def _not_smooth(self, log: Array, mean: Array, sd: Array, around: Any) -> Array:
+        """How far cubics between nodes are off, by those of twice the step.
+
+        What a node's conditional mean is off, in its own sds, moves quantiles by its share of the
+        mass; at 2.5 % that is seven times as many sds.
+        """
+        share = np.exp(log)
+        share /= share.reshape(-1, log.shape[-1]).sum(axis=0)
+        off = mean - (9 * (around(mean, 1) + around(mean, -1))
+                      - around(mean, 3) - around(mean, -3)) / 16  # fmt: skip
+        off = np.nan_to_num(np.abs(off / sd).max(axis=-1), posinf=0.0)
+        near = np.min([around(log, k) for k in (-3, -1, 1, 3)], axis=0) > -self.drop
+        # The error of fourth order is a sixteenth of that at half the steps; an end of an interval
+        # may be 5e-3 sd off.
+        return np.where(near, 7 * share * off, 0.0) / 16 / 5e-3
+
+    def _far_apart(self, log: Array, mean: Array, sd: Array, around: Any) -> Array:
+        """How far conditional posteriors are apart, over their widths."""
+        step = np.abs(around(mean, 1) - mean) / np.minimum(sd, around(sd, 1))
+        near = (log > -9.0) & (around(log, 1) > -9.0)
+        return np.where(near, np.nan_to_num(step).max(axis=-1), 0.0)
 
     def _box(self, row: int) -> tuple[list[Index], Array]:
         """The nodes about the mass of one reading along each axis, and ln of the evidence there."""

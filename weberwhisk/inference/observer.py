@@ -289,11 +289,6 @@ class Observer(Fields):
         signals = np.where(held[:, None], signals, 0.0)
         return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
-    def contact_at(self, x: Array) -> Array:
-        """Contacts (..., U) at coordinates (..., U)."""
-        with np.errstate(all="ignore"):
-            return self.space.constrain(x)[0]
-
     @property
     def inner(self) -> int:
         """How many unknowns a tree takes: those that the whisker bounds, or two if there are.
@@ -302,18 +297,13 @@ class Observer(Fields):
         """
         return max(self.bounded, min(len(self.unknowns), 1 if self.space.reach_varies else 2))
 
-    @cached_property
-    def _bounded_ends(self) -> tuple[Array, Array]:
-        # Fractions of the ranges of distance and angle, between the ends of which trees look.
+    def ends(self, unknowns: int) -> tuple[Array, Array]:
+        """The coordinates (U,) of so many between which there is next to all of the prior."""
+        # Fractions of the ranges of distance and angle.
         fractions = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
         x = self.space.spread(fractions)[:, : self.bounded]
-        return x.min(axis=0), x.max(axis=0)
-
-    def ends(self, unknowns: int | None = None) -> tuple[Array, Array]:
-        """The coordinates (U,) between which there is next to all of the prior."""
-        further = (len(self.unknowns) if unknowns is None else unknowns) - self.bounded
-        low, high = self._bounded_ends
-        return np.append(low, [-4.8] * further), np.append(high, [4.8] * further)
+        far = np.full(unknowns - self.bounded, 4.8)
+        return np.append(x.min(axis=0), -far), np.append(x.max(axis=0), far)
 
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""

@@ -173,7 +173,7 @@ def _best_contacts(observer: Observer, y: Array, found: OneDistance) -> Array:
         else observer.prior[name].ppf(ndtr(np.linspace(-3.0, 3.0, 13)))
         for name in observer.unknowns[observer.bounded :]
     ]
-    low, high = (end[1] if observer.bounded > 1 else 0.0 for end in observer.ends())
+    low, high = (end[1] if observer.bounded > 1 else 0.0 for end in observer.ends(observer.bounded))
     first = float(observer.space.unconstrain_one(np.array(found.best), 0))
     count, best = len(y), np.full(len(y), -np.inf)
     out = np.empty((count, len(observer.unknowns)))

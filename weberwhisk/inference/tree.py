@@ -149,19 +149,6 @@ class Level:
         return first
 
 
-def layout(unknowns: int, gaussian: int, features: int, signals: int) -> tuple[Any, int]:
-    """The rows of a level's data, by what they are for, and how many there are."""
-    sizes = {
-        "which": 1, "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
-        "mean": gaussian, "precision": gaussian, "blurred_constant": 1,
-        "blurred_precision": gaussian, "length": unknowns, "rise": 1, "other_length": 1,
-        "signals": signals, "change": unknowns * features,
-    }  # fmt: skip
-    ends = np.cumsum([*sizes.values()]).tolist()
-    slices = map(slice, [0, *ends[:-1]], ends)
-    return SimpleNamespace(**dict(zip(sizes, slices, strict=True))), ends[-1]
-
-
 class Tree:
     """The tree of one or two unknowns of an observer, the others being given at nodes.
 
@@ -205,8 +192,17 @@ class Tree:
         self.scores, self.smooth = scores, self.observer.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
         self.features = self.size + own + scores + 1
-        own_signals = signals if self.others else 0
-        self.rows, self.height = layout(self.unknowns, self.size, self.features, own_signals)
+        # The rows of a level's data, by what they are for.
+        axes, size = self.unknowns, self.size
+        sizes = {
+            "which": 1, "place": axes, "contact": axes, "log_prior": 1, "constant": 1, "mean": size,
+            "precision": size, "blurred_constant": 1, "blurred_precision": size, "length": axes,
+            "rise": 1, "other_length": 1, "signals": signals if self.others else 0,
+            "change": axes * self.features,
+        }  # fmt: skip
+        *begins, self.height = np.cumsum([0, *sizes.values()]).tolist()
+        slices = map(slice, begins, [*begins[1:], self.height])
+        self.rows: Any = SimpleNamespace(**dict(zip(sizes, slices, strict=True)))
 
     def _features(self, at: Evaluated) -> tuple[Array, Array]:
         """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
@@ -241,7 +237,13 @@ class Tree:
             sd = scale[:, :size]
             # Curvature bends signals further within large cells.
             blur = 1.0 if level.depth < 2 else 0.36
-            blurred = np.sqrt(sd**2 + blur * total[:, :size] ** 2)
+            across = total[:, :size].copy()
+            if self.gaussian and (turning := self.gaussian.circular).size:
+                # A force that may vanish within the cell may turn round there.
+                mean = np.delete(self.gaussian.features(at.signals)[0], turning, axis=1)
+                any_way = (np.abs(mean) < np.delete(across, turning, axis=1) / 2).any(axis=1)
+                across[np.ix_(any_way, turning)] = np.pi
+            blurred = np.sqrt(sd**2 + blur * across**2)
             # A cell may be from where the prior is higher: as far as it rises, and of a prior
             # with a score, as far as that comes towards its middle.
             score = np.abs(at.scores)
@@ -283,8 +285,8 @@ class Tree:
         new = np.setdiff1d(which, np.flatnonzero(self.counts >= 0))
         if not new.size:
             return
-        low, high = self.observer.ends()
         unknowns = self.unknowns
+        low, high = self.observer.observer.ends(unknowns)
         root = ROOT_STEP if unknowns > 1 else ROOT_STEP / 16
         step = np.full(unknowns, root)
         first = np.floor(low / step).astype(int)

@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 
 __all__ = [
-    "OVER", "Leaves", "Spans", "Sums", "density_of_distance", "extrapolated", "interpolate",
-    "masses", "mixed", "resampled", "spans_between", "systematic",
+    "OVER", "Leaves", "Spans", "Sums", "between_nodes", "density_of_distance", "extrapolated",
+    "in_one", "interpolate", "masses", "mixed", "resampled", "spans_between", "systematic",
 ]  # fmt: skip
 
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
@@ -388,27 +388,38 @@ def mixed(
 ) -> Spans:
     """Spans of a mixture over nodes of conditional distributions, given their quantiles.
 
-    Between nodes ln of the evidence is interpolated by splines, and each quantile by cubics without
-    overshoot, as conditional distributions may have two modes; where nothing is known of a node,
-    its quantiles are those of the nearest.
+    Between nodes quantiles are interpolated: conditional distributions may have two modes.
+    """
+    weight, quantile = between_nodes(log, held, quantile, parts)
+    # Between scores mass is all but that of a Gaussian, which is not spread evenly.
+    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
+    return in_one(rows, weight, PchipInterpolator(scores, quantile, axis=1)(fine), ndtr(fine))
+
+
+def between_nodes(log: Array, held: Flags, table: Array, parts: int) -> tuple[Array, Array]:
+    """Weights (M,) and numbers (M, K) at nodes (...) and between them, of all that have weight.
+
+    ln of the evidence (...) is interpolated by splines, numbers (..., K) by cubics without
+    overshoot; a node that is not held has those of the nearest that is.
     """
     if not held.all():
         place = np.argwhere(held)
         for i in np.argwhere(~held):
             nearest = place[np.abs(place - i).sum(axis=1).argmin()]
-            quantile[tuple(i)] = quantile[tuple(nearest)]
+            table[tuple(i)] = table[tuple(nearest)]
     log = np.maximum(log - log[held].max(), -45.0)
-    for d in range(log.ndim):
-        n = log.shape[d]
-        fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
-        log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
-        quantile = PchipInterpolator(np.arange(n), quantile, axis=d)(fine)
-    log, quantile = log.ravel(), quantile.reshape(-1, len(scores))
+    for d, n in enumerate(log.shape):
+        if n > 1:
+            fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
+            log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
+            table = PchipInterpolator(np.arange(n), table, axis=d)(fine)
+    log = log.ravel()
     heavy = log > log.max() - 18.0
-    # Between scores mass is all but that of a Gaussian, which is not spread evenly.
-    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
-    quantile = PchipInterpolator(scores, quantile[heavy], axis=1)(fine)
-    quantile, scores = np.maximum.accumulate(quantile, axis=1), fine
-    mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
-    low, high = quantile[:, :-1], quantile[:, 1:]
-    return Spans(rows, low.reshape(1, -1), high.reshape(1, -1), mass.reshape(1, -1))
+    return np.exp(log[heavy] - log.max()), table.reshape(len(log), -1)[heavy]
+
+
+def in_one(rows: Index, weight: Array, quantile: Array, p: Array) -> Spans:
+    """Spans of the mixture of distributions of `weight` (M,) with quantiles (M, Q) at p (Q,)."""
+    quantile = np.maximum.accumulate(quantile, axis=1)
+    low, high, mass = quantile[:, :-1], quantile[:, 1:], weight[:, None] * np.diff(p)
+    return Spans(rows, *(part.reshape(1, -1) for part in (low, high, mass)))

@@ -3,9 +3,8 @@
 At a contact the moment is zero and the direction of the force is known in the contact's own
 frame, so the beam is followed from there to the base as an initial value problem. With y along
 the force, X, Y the contact as seen from the running point, and χ the tangent angle from the
-normal of the force (χ = −ψ at the contact, ψ the friction angle),
-
-    dχ/du = −(κ₀ + F X/EI),   dX/du = cos χ,   dY/du = sin χ,      u = s_c − s.
+normal of the force (χ = −ψ at the contact, ψ the friction angle), dχ/du = −(κ₀ + F X/EI),
+dX/du = cos χ, dY/du = sin χ, u = s_c − s.
 
 On a piece of linear radius a(s) the path is followed in τ with ds ∝ a dτ: the steps grow in
 proportion to the distance from the apex, and a cylinder's are uniform. Tangents are carried as

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +45,7 @@ THINNEST = 1e-3
 class _Places(NamedTuple):
     """Distinct places (m,), the index of each contact's, and what the tables give there."""
 
-    which: Any
+    which: Index
     distance: Array  # in lengths, 1 where it is not known
     known: Flags
     far: Flags
@@ -279,12 +279,11 @@ class CurvedSurface:
         return out
 
     def _placed(self, r: Array, given: Sequence[Array]) -> _Places:
-        r, which = np.asarray(r, dtype=float) / self.length, cast(Any, slice(None))
         # Grids have many pushes at one distance and azimuth, where most of the work is.
-        if any(a.size > 1 for a in given):
-            (r, *given), which = distinct(r, *given)
-        elif r.size > 64 and (kinds := np.unique(r, return_inverse=True))[0].size < r.size / 2:
-            r, which = kinds
+        varied = [a for a in given if a.size > 1]
+        (r, *varied), which = distinct(np.asarray(r, dtype=float) / self.length, *varied)
+        each = iter(varied)
+        given = [next(each) if a.size > 1 else a for a in given]
         poly = self._polynomials(given)
         reach = self._reach @ poly
         known = (r > 0) & (r <= reach * (1 + 1e-12))
@@ -334,11 +333,8 @@ class CurvedSurface:
         with np.errstate(all="ignore"):
             powers = basis(self._across, np.sqrt(np.maximum(1 - push / last, 0.0)))
             lateral = (3 * self.stiffness / self.length**2) * place.room / r**2
-            if isinstance(which, slice):
-                out = np.einsum("kcn,cn->nk", terms, powers) * lateral[:, None]
-            else:
-                rows = np.ascontiguousarray((terms * lateral).transpose(2, 1, 0))
-                out = np.matmul(powers.T[:, None], rows[which])[:, 0]
+            rows = np.ascontiguousarray((terms * lateral).transpose(2, 1, 0))
+            out = np.matmul(powers.T[:, None], rows[which])[:, 0]
             out *= push[:, None] * self._parity(given)
             out[:, self._moments] *= (r * self.length)[which][:, None]
         slips = np.zeros(push.size, dtype=bool)

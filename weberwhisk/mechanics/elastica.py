@@ -1,13 +1,9 @@
 """The elastica of every straight taper and cylinder, from one dimensionless map.
 
-A straight whisker touched without friction carries a force normal to it at the contact, where
-the moment is zero, so the beam can be followed from the contact to the base without shooting. For
-a linear taper the shape, scaled by the arc length s of the contact, depends on two numbers only:
-u = s/A (A the apex distance) and the load, given as the contact angle that the small-angle theory
-would predict, ℓ = F s²(3−2u) / (6EI₀(1−u)²). Cylinders are the edge u = 0, the perfect cone
-touched at its tip the edge u = 1, and the whole map is analytic in between.
-
-The map has two faces, each a Chebyshev table of logarithms of ratios to the closed form:
+The shape of a linear taper touched without friction, scaled by the arc length s of the contact,
+depends on two numbers (``docs/theory/models.md``): u = s/A (A the apex distance), and the load as
+the contact angle of the small-angle theory, ℓ = F s²(3−2u) / (6EI₀(1−u)²). The map has two faces,
+each a Chebyshev table of logarithms of ratios to the closed form:
 
 - *force given*: (u, (ℓ/ℓ_cap)²) → contact angle, height, shortening;
 - *contact given*: (v = r/A, c = √(1 − (θ_d/θ_fold)²)) → force, contact angle, arc length. The

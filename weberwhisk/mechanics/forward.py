@@ -7,16 +7,10 @@ A contact is given by its radial distance and its *deflection from rest*: how fa
 turned since it first touched at that distance. It is the deflection angle of `press` on a straight
 whisker, and on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``.
 
-A hinge is a rotational spring between the follicle and the base of the whisker, which turns by Λ M.
-A deflection θ of the follicle bends the whisker as a deflection θ′ of a clamped one, with
-
-    θ = θ′ + Λ M(r, θ′).
-
-θ grows with θ′ until the fold, or until ΛM falls faster than θ′ grows. There the whisker flicks
-past, earlier on a more compliant hinge. With θ′ = limit·sin p and θ = largest·sin q both are smooth
-up to these ends. Contact is lost from half a turn on, as next to the base a push turns the hinge
-alone; if Λ is uncertain, from the fraction of the largest θ that is half a turn in the middle of
-its range, so that the limit has no kink.
+Hinges are in ``docs/theory/models.md``. With θ′ = limit·sin p and θ = largest·sin q the deflections
+of the clamped and of the hinged whisker are smooth up to their ends. If the compliance is uncertain
+contact is lost from the fraction of the largest θ that is half a turn in the middle of its range,
+so that the limit has no kink.
 """
 
 from __future__ import annotations

@@ -1,17 +1,8 @@
 """The cheapest model whose bias in the inferred radial distance is a small part of its JND.
 
-An observer who assumes a model misjudges each signal s by δ. Under Weber noise of sd k·s the
-least-squares estimate of the unknowns shifts by (JᵀWJ)⁻¹JᵀWδ with W = 1/(ks)². The JND of r (one
-observation's sd) is the root of the first diagonal element of (JᵀWJ)⁻¹. With g_r and g_θ the
-columns of ∂ln s/∂(r, θ_d), and q the unit vector along g_r (less its component along g_θ where the
-deflection angle is unknown too), the ratio of the two is
-
-    bias/JND = |q · δ/s| / k,
-
-for one signal |δ/s|/k. Each scene is solved with every model up to the one that leaves nothing out.
-
-For an `Observer`, with any cue and noise, the model is chosen by the largest bias (JᵀWJ)⁻¹JᵀWδ over
-contacts throughout the reach.
+The bias to first order is derived in ``docs/theory/models.md``. Each scene is solved with every
+model up to the one that leaves nothing out. For an `Observer` the model is chosen by the largest
+bias over contacts throughout the reach.
 """
 
 from __future__ import annotations

@@ -11,16 +11,8 @@ The base starts at the origin of the world frame; at rotation 0 its tangent is t
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
 the other way, and the deflection is positive. A base that travels instead moves towards −y.
 
-`slid`, `rate_on_wall` and `Walls` say how a contact slips along a whisker (§2g). Curvature and
-friction enter by the contact angle alone: with φ the direction of the tangent at the contact in the
-frame of the base, β = φ − θ_d its angle to the line base → contact, and ρ the push angle, the
-contact moves along the tangent,
-
-    r d(θ_d − ρ) = tan β dr,                                                            (slip)
-
-and the object's tangent is φ − ρ in the world. On a wall it does not turn, so that
-
-    dr/dρ = (1 − ∂φ/∂θ_d) / (∂φ/∂r + ∂φ/∂θ_d tan β / r).                                (wall)
+`slid`, `rate_on_wall` and `Walls` say how a contact slips along a whisker, by the equations of
+``docs/theory/cues.md`` (Sweeping); curvature and friction enter by the contact angle alone.
 """
 
 from __future__ import annotations
@@ -245,7 +237,7 @@ def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
 def slid(
     forward: Any, r: Array, theta: Array, slip: Array, push: Array | float
 ) -> tuple[Array, Array]:
-    """r and θ_d (n,) after slips dr (n,) and pushes dρ: equation (slip), by the trapezoid rule."""
+    """r and θ_d (n,) after slips dr (n,) and pushes dρ: sliding, by the trapezoid rule."""
     start = slope(forward, r, theta)
     there = r + slip
     # Where contact is lost there is no slope: the value does not matter.
@@ -261,7 +253,7 @@ def slope(forward: Any, r: Array, theta: Array) -> Array:
 
 
 def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
-    """dr/dρ (n,) of contacts with a wall, m/rad: equation (wall); 0 where contact is lost."""
+    """dr/dρ (n,) of contacts with a wall, m/rad; 0 where contact is lost."""
     r = np.clip(r, 1e-3 * forward.length, forward.reach)
     # One-sided differences, away from the largest angle and from the tip.
     step = 1e-5

@@ -13,7 +13,6 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.optimize import fmin
 from scipy.special import logsumexp, ndtr
 
@@ -26,7 +25,7 @@ from ..inference import layers as inference_layers
 from ..inference.coordinates import unconstrain_distance
 from ..inference.methods import sums_of
 from ..inference.one_distance import ReadingGroup, one_distance
-from ..inference.weighted import Spans
+from ..inference.weighted import between_nodes, in_one
 from ..mechanics import Profile, Spiral
 from ..mechanics.shape import with_modulus
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
@@ -430,41 +429,19 @@ def _mixed(cases: Cases, log: Array, table: Array, count: int) -> Mixed:
         weights, tables = [], []
         for j in range(log.shape[1]):
             if np.isfinite(log[:, j, row].max()):
-                weight, own = _finer(cases.shape, log[:, j, row], table[:, j, row])
+                own_log = log[:, j, row].reshape(cases.shape)
+                own = table[:, j, row].reshape(*cases.shape, -1)
+                weight, own = between_nodes(own_log, np.isfinite(own_log), own, 4)
                 weights.append(weight / weight.sum())
                 tables.append(own)
         if not weights:
             continue
         weight, own = np.concatenate(weights) / len(weights), np.concatenate(tables)
-        quantile = np.maximum.accumulate(own[:, :count], axis=1)
-        mass = weight[:, None] * np.diff(QUANTILES)
-        flat = [v.reshape(1, -1) for v in (quantile[:, :-1], quantile[:, 1:], mass)]
-        ends[row] = Spans(np.zeros(1, dtype=np.intp), *flat).quantiles(ENDS)[0]
+        spans = in_one(np.zeros(1, dtype=np.intp), weight, own[:, :count], QUANTILES)
+        ends[row] = spans.quantiles(ENDS)[0]
         values = own[:, count:]
         numbers[row] = weight @ values
         for at in range(0, 4 if values.shape[1] > 2 else 2, 2):
             square = values[:, at + 1] ** 2 + (values[:, at] - numbers[row, at]) ** 2
             numbers[row, at + 1] = np.sqrt(weight @ square)
     return Mixed(ends, numbers)
-
-
-def _finer(shape: tuple[int, ...], log: Array, table: Array) -> tuple[Array, Array]:
-    """Weights and numbers on a finer grid of nuisance parameters, by interpolation.
-
-    Values at which a reading is impossible take the numbers of the nearest possible value.
-    """
-    known = np.isfinite(log)
-    place = np.stack(np.unravel_index(np.arange(len(log)), shape))
-    if not known.all():
-        far = np.abs(place[:, :, None] - place[:, None, known]).sum(axis=0)
-        table = table[np.flatnonzero(known)[far.argmin(axis=1)]]
-    log = np.maximum(log - log.max(), -45.0).reshape(shape)
-    table = table.reshape(*shape, -1)
-    for d, many in enumerate(shape):
-        if many > 1:
-            fine = np.linspace(0, many - 1, 4 * (many - 1) + 1)  # four parts between values
-            log = make_interp_spline(np.arange(many), log, k=3, axis=d)(fine)
-            table = PchipInterpolator(np.arange(many), table, axis=d)(fine)
-    log = log.ravel()
-    heavy = log > log.max() - 18.0
-    return np.exp(log[heavy] - log.max()), table.reshape(len(log), -1)[heavy]
