@@ -35,8 +35,7 @@ class Descent:
         drop: Array, out: Any,
     ) -> None:  # fmt: skip
         self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
-        self.which = which
-        self.readings, self.covariance = readings, covariance
+        self.readings, self.covariance, self.which = readings, covariance, which
         self.log_slope = np.zeros(len(rows))
         if tree.gaussian:
             self.y, self.log_slope = tree.gaussian.readings(readings)

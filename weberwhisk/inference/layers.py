@@ -39,11 +39,6 @@ __all__ = ["SCORES", "LayeredSums"]
 SCORES = np.linspace(-4.5, 4.5, 37)
 #: Parts of a step between nodes at which conditional posteriors are interpolated.
 PARTS = 8
-#: What is known of a node and a reading before it is asked.
-EMPTY = {
-    "log": np.nan, "guess": -1e5, "error_at": 0.0, "mean_at": 0.0, "sd_at": 0.0, "part": -1,
-    "pair": -1,
-}  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -127,15 +122,13 @@ class LayeredSums:
         every = list(product(*map(np.ndarray.tolist, keys)))
         new = [key for key in every if key not in self.numbers]
         if new:
-            self.numbers |= zip(
-                new, range(len(self.nodes), len(self.nodes) + len(new)), strict=True
-            )
-            nodes = np.array(new)
+            self.numbers |= {key: len(self.nodes) + i for i, key in enumerate(new)}
+            nodes, empty = np.array(new), {"log": np.nan, "guess": -1e5, "part": -1}
             self.nodes = np.concatenate([self.nodes, nodes])
             self.given = np.append(self.given, self.layers.numbers(nodes.T))
-            for name, fill in EMPTY.items():
+            for name in ("log", "guess", "error_at", "mean_at", "sd_at", "part", "pair"):
                 table = getattr(self, name)
-                room = np.full((len(new), *table.shape[1:]), fill, dtype=table.dtype)
+                room = np.full((len(new), *table.shape[1:]), empty.get(name, 0), dtype=table.dtype)
                 setattr(self, name, np.concatenate([table, room]))
         return np.array([self.numbers[key] for key in every]).reshape(*map(len, keys))
 
