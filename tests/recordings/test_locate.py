@@ -442,3 +442,11 @@ def test_stiffness_is_mixed_over_as_the_engine_sums_over_it() -> None:
     np.testing.assert_allclose(values[:, 0], p.mean, atol=0.05 * p.sd.min())
     np.testing.assert_allclose(values[:, 1], p.sd, rtol=0.05)
     np.testing.assert_allclose(ends, p.interval(0.95), atol=0.12 * p.sd.max())
+    # Readings over the stiffness and whiskers of each are one and the same; the latter serve noise
+    # with a floor of its own, here of next to nothing.
+    floored = [ww.receptors.GeneralisedWeber(k, floor=1e-15) for k in (0.2, 0.2001)]
+    whiskers = cases_of(C2, SOFT, None, np.ones(4), floored, None)
+    assert (len(cases.cases), len(whiskers.cases)) == (1, 5)
+    other = rows_of(whiskers, np.arange(4), y, None, lambda done: None)
+    np.testing.assert_allclose(other.ends, ends, rtol=1e-4)
+    np.testing.assert_allclose(other.values[:, :2], values[:, :2], rtol=1e-5)
