@@ -90,6 +90,7 @@ def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.raises(ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"),
     ):
         run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
+    assert dask.config.get("scheduler", None) is None  # nor is it anybody else's from now on
     with pytest.raises(ValueError, match="no scheduler could be reached at 'nonsense'"):
         run(campaign_work.draw, CHUNKS, seed=7, scheduler="nonsense")
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -335,14 +335,14 @@ def _cluster(address: str) -> Iterator[Pool]:
             "pip install 'weberwhisk[cluster]'."
         ) from None
     try:
-        client = distributed.Client(address)
+        client = distributed.Client(address, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
             "with `dask scheduler`, and give the address that it prints."
         ) from error
     try:
-        with client:
+        with client, client.as_current():
             yield partial(client.submit, pure=False, retries=0), distributed.as_completed
     except distributed.KilledWorker as error:
         raise CampaignError(f"a chunk has killed its workers: {error}") from None
