@@ -63,7 +63,8 @@ def run(
     ----------
     work : callable
         ``work(chunk, seed) -> DataFrame``, always of the same columns: a function at the top level
-        of a module, or a `functools.partial` of one; with `out` chunks must say what that holds.
+        of a module, or a `functools.partial` of one. With `out`, chunks must name what the partial
+        holds, as only chunks are compared with those of the file.
     chunks : iterable of dict
         What may be written as JSON.
     seed : int or SeedSequence

@@ -238,11 +238,13 @@ class Tree:
             # Curvature bends signals further within large cells.
             blur = 1.0 if level.depth < 2 else 0.36
             across = total[:, :size].copy()
-            if self.gaussian and (turning := self.gaussian.circular).size:
-                # A force that may vanish within the cell may turn round there.
-                mean = np.delete(self.gaussian.features(at.signals)[0], turning, axis=1)
-                any_way = (np.abs(mean) < np.delete(across, turning, axis=1) / 2).any(axis=1)
-                across[np.ix_(any_way, turning)] = np.pi
+            if self.gaussian:
+                mean, turning = self.gaussian.features(at.signals)[0], self.gaussian.circular
+                out[rows.mean] = mean.T
+                if turning.size:  # a force that may vanish within the cell may turn round there
+                    any_way = np.abs(mean) < across / 2
+                    any_way = np.delete(any_way, turning, axis=1).any(axis=1)
+                    across[np.ix_(any_way, turning)] = np.pi
             blurred = np.sqrt(sd**2 + blur * across**2)
             # A cell may be from where the prior is higher: as far as it rises, and of a prior
             # with a score, as far as that comes towards its middle.
@@ -256,8 +258,6 @@ class Tree:
             out[rows.constant] = log_prior + constant - np.log(sd).sum(axis=1)
             out[rows.blurred_constant] = log_prior + constant - np.log(blurred).sum(axis=1)
             out[rows.precision], out[rows.blurred_precision] = 1 / sd.T, 1 / blurred.T
-            if self.gaussian:
-                out[rows.mean] = self.gaussian.features(at.signals)[0].T
             # Flat priors are as wide as 1 or so in the coordinates, for which a step counts.
             own = (2.5 * level.step) ** 2
             length = change[..., :-1] / scale
