@@ -115,10 +115,11 @@ class Descent:
         """The same with each reading's own covariance of measurement errors."""
         tree, rows, data = self.tree, self.tree.rows, level.data
         assert tree.gaussian
-        blur = np.zeros(tree.size)
+        blur = np.zeros((tree.size, 1))
         if blurred:
-            change = np.abs(data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1))
-            blur = (1.0 if level.depth < 2 else 0.36) * change.sum(axis=0) ** 2
+            wide, plain = (data[r][:, cell] for r in (rows.blurred_precision, rows.precision))
+            with np.errstate(invalid="ignore", divide="ignore"):  # where an sd is infinite
+                blur = np.fmax(wide**-2 - plain**-2, 0.0)
         root = self._root(level, row, cell, blur)
         out = data[rows.log_prior.start][cell] - 0.5 * tree.size * np.log(2 * np.pi)
         off = [
