@@ -51,7 +51,6 @@ TWO = (
     "velocity felt",
     "angle-side-angle",
     "balance of moments",
-    "lateral slip",
     "tap and map fused",
     "map and vibration fused",
     "map, stiffness unknown",

@@ -77,12 +77,6 @@ OBSERVERS: dict[str, Make] = {
         cues.BalanceOfMoments(effort=None),
         receptors.GeneralisedWeber([0.0, k], floor=[0.017, 0.0]),
     ),
-    "lateral slip": lambda k: Observer(
-        W,
-        receptors.Joint(
-            [receptors.Weber(k), receptors.GeneralisedWeber(0.0, floor=k)], sizes=[1, 1]
-        ),
-    ),
     "two taps fused": lambda k: Observer(
         W,
         cues.Fused(cues.Compliance(), cues.Compliance(tap_angle=0.3)),

@@ -50,6 +50,14 @@ def test_the_sum_over_three_unknowns_is_of_the_package_s_model(
     np.testing.assert_allclose(off, off[0], atol=2e-3)
 
 
+@pytest.mark.parametrize("name", posteriors.OBSERVERS)
+def test_the_atlas_makes_every_observer_whose_posteriors_it_judges(name: str) -> None:
+    """One whose cue had been taken out was found after an hour, by the full form alone."""
+    observer = posteriors.observer(name, 0.1)
+    contact = observer.contact(np.zeros((1, len(observer.unknowns))))[0]
+    assert observer.signals(contact)[1] == ww.Outcome.HELD
+
+
 def test_the_sum_knows_its_error_and_agrees_with_quadrature() -> None:
     observer = posteriors.observer("map, stiffness unknown", 0.3)
     contact = np.array([25e-3, 0.2, 1.2])
