@@ -388,10 +388,18 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
 
 @short_or_full("count", 12, 40)
 def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
+    """Beyond the memory that is set there are those of one step, and of one reading at the most."""
+    split, most = tree.Tree._split, []
+
+    def watched(self, *args):
+        most.append(self.bytes)
+        return split(self, *args)
+
     observer = layered_observer("stiffness", 0.2)
     _, reading = readings_of(observer, count, np.random.default_rng(1))
     usual = ww.posterior(observer, reading)
     monkeypatch.setattr(tree, "MEMORY", 3_000_000)
+    monkeypatch.setattr(tree.Tree, "_split", watched)
     tree._kept.clear()
     bound = ww.posterior(observer, reading)
     assert np.all(np.abs(bound.mean - usual.mean) < 1e-3 * usual.sd)
@@ -399,3 +407,4 @@ def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     assert np.all(np.abs(off) < 0.01 * usual.sd[:, None])
     drawn = [p.to_arviz(draws=5).posterior["radial_distance"].values for p in (usual, bound)]
     assert np.allclose(*drawn)
+    assert max(most) < 30_000_000

@@ -9,11 +9,13 @@ import numpy as np
 from .._util.values import Array, Flags, Index
 from .weighted import Leaves
 
-__all__ = ["Descent", "Pairs"]
+__all__ = ["PAIRS", "Descent", "Pairs"]
 
 if TYPE_CHECKING:
     from .tree import Level, Tree
 
+#: Pairs of a reading and a cell that are weighed together: 150 000 fit the cache.
+PAIRS = 150_000
 #: Most cells of one reading, and most times its cells are halved.
 MOST, DEEPEST = 300_000, 22
 
@@ -61,12 +63,22 @@ class Descent:
         cell = np.arange(len(row)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
         return Pairs(self.tree.start, row, cell, False)
 
-    def run(self, least: Array) -> None:
-        """From the coarse cells on, but for readings whose density is nowhere above `least`."""
+    def run(self, least: Array, room: float) -> Index:
+        """From the coarse cells on, but for readings whose density is nowhere above `least`.
+
+        Readings that are left to do where the tree has outgrown `room` bytes, unless it is one.
+        """
         least = least - self.log_slope
         todo = [self.first()]
         while todo:
+            if self.tree.bytes > room and len(least) > 1:
+                return np.unique(np.concatenate([task.row for task in todo]))
             task = todo.pop()
+            middle = np.searchsorted(task.row, task.row[len(task.row) // 2])
+            if len(task.row) > PAIRS and middle:
+                halves = slice(middle, None), slice(middle)
+                todo += [task._replace(row=task.row[h], cell=task.cell[h]) for h in halves]
+                continue
             log = self.log(task.level, task.row, task.cell, blurred=not task.last)
             first = np.flatnonzero(np.diff(task.row, prepend=-1))
             top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(task.row)))
@@ -87,6 +99,7 @@ class Descent:
                 task = task._replace(row=task.row[kept], cell=task.cell[kept])
                 how = self._sum(task, log) if task.last else self._long(task, depth)
                 todo += self._halved(task, *how)
+        return np.zeros(0, dtype=int)
 
     def log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
         """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""

@@ -24,7 +24,7 @@ from .._util.values import Array, Index
 from ..receptors import ReceptorNoise
 from .conditional import Conditional
 from .coordinates import within_half_turn
-from .descent import Descent
+from .descent import PAIRS, Descent
 from .observer import Evaluated, Observer
 from .weighted import Sums
 
@@ -36,12 +36,10 @@ ROOT_STEP = 0.5
 #: Cells whose density is so many nats below the highest are left out. At 15, 2 of 225 posteriors
 #: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
 DROP = 20.0
-#: Bytes of cells that are kept for all observers together; half as much again for the readings of
-#: a posterior. Set it before posteriors are asked for.
-MEMORY = 400_000_000
-
-#: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
-PAIRS = 150_000
+#: Bytes of cells that are kept for all observers together, a quarter more while readings need them;
+#: half as much again for a posterior's readings. Set it before posteriors are asked for. Unknown
+#: friction takes 1 GB in all, and is no quicker with twice as much.
+MEMORY = 250_000_000
 
 
 # -- what readings say of cells --------------------------------------------------------------------
@@ -361,8 +359,9 @@ class Tree:
         )
         if len(first) < level.count:
             first = np.append(first, np.full(level.count - len(first), -1, dtype=np.int32))
-        new = np.unique(cells[first[cells] < 0])
-        if new.size:
+        asked = np.unique(cells[first[cells] < 0])
+        for begin in range(0, len(asked), PAIRS // parts):
+            new = asked[begin : begin + PAIRS // parts]
             halves = np.indices(shape).reshape(unknowns, -1)
             place = level.data[self.rows.place, new][:, :, None] * np.array(shape)[:, None, None]
             place = (place + halves[:, None]).reshape(unknowns, -1).T
@@ -413,21 +412,28 @@ class Tree:
         """
         which = np.zeros(len(readings), dtype=int) if which is None else which
         out = Sums(len(readings), self.unknowns, self.observer, which)
-        for rows in self._chunks(which, 512):
+        lowest = np.full(len(readings), -np.inf) if least is None else least
+        deeper, tries = np.full(len(readings), drop), np.zeros(len(readings), dtype=int)
+        waiting = list(self._chunks(which, 512))
+        while waiting:
+            rows = waiting.pop()
             if self.bytes > MEMORY:
                 self.forget()
-            deeper = np.full(len(rows), drop)
+            own = None if covariance is None else covariance[rows]
+            descent = Descent(self, readings[rows], own, which[rows], rows, deeper[rows], out)
+            left = descent.run(lowest[rows], 1.25 * MEMORY)
+            if left.size == rows.size:  # whose cells are too many together
+                waiting += np.array_split(rows, 2)
+                continue
             # Again where cells turn out to have been left out too early.
-            for _ in range(3 if least is None else 1):
-                own = None if covariance is None else covariance[rows]
-                descent = Descent(self, readings[rows], own, which[rows], rows, deeper, out)
-                descent.run(np.full(len(rows), -np.inf) if least is None else least[rows])
-                missed = descent.missed(drop)
-                rows, deeper = rows[missed > 0], (deeper + missed + 1)[missed > 0]
-                if not rows.size:
-                    break
-            if least is None:
-                out.error[rows] = np.inf
+            missed = descent.missed(drop) if least is None else np.zeros(len(rows))
+            missed[left] = 0.0
+            again = rows[missed > 0]
+            deeper[again] += missed[missed > 0] + 1
+            tries[again] += 1
+            out.error[again[tries[again] == 3]] = np.inf
+            again = np.append(rows[left], again[tries[again] < 3])
+            waiting += [again] if again.size else []
         # That of a log-normal reading whose sign is not its signal's.
         out.log_evidence[out.log_evidence < -1e8] = np.nan
         return out
