@@ -121,7 +121,7 @@ def observer(name: str, k: float) -> Observer:
 def _limit(o: Observer, r: Array) -> Array:
     """The largest angle at each distance: where the whisker flicks past or the cue ends."""
     if not o.forward.is_plain:  # by its table, which tests hold to the planar beam
-        return np.asarray(o.angle_range(r)[1])
+        return np.asarray(o.space.angle_range(r)[1])
     limit = np.nan_to_num(ww.flick_past(o.whisker, r).deflection_angle)
     if hasattr(o.cue, "largest_angle"):
         limit = np.minimum(limit, o.cue.largest_angle(o.whisker, r))

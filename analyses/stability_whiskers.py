@@ -290,7 +290,7 @@ def judge(
             o = make(of)
             low, high = o.reach
             r = low + np.clip(of["distance"], 1e-6, 1 - 1e-9) * (high - low)
-            start, width = o.angle_range(np.array([r]))
+            start, width = o.space.angle_range(np.array([r]))
         except ValueError as refused:
             if "No table serves" in str(refused):  # of strongly curved cones and cylinders
                 continue

@@ -84,7 +84,7 @@ def lost(observer: ww.Observer, contact: Any, reading: Any) -> Any:
 
     Of observers of one or two unknowns.
     """
-    x = observer.coordinates(contact)
+    x = observer.space.unconstrain(contact)
     density = np.array([observer.log_density(a, y) for a, y in zip(x, reading, strict=True)])
     found = sums_of(observer, reading)
     out = []

@@ -48,7 +48,7 @@ def contacts(seed: int, touches: int = 8, rows: int = 4) -> pd.DataFrame:
     out = []
     for touch in range(touches):
         r = rng.uniform(0.2, 0.9) * WHISKER.length
-        least, held = (float(np.ravel(v)[0]) for v in observer.angle_range(np.array([r])))
+        least, held = (float(np.ravel(v)[0]) for v in observer.space.angle_range(np.array([r])))
         theta = least + held * np.linspace(0.05, rng.uniform(0.15, 0.6), rows)
         m, fx, fy = observer.signals(np.stack([np.full(rows, r), theta], axis=-1))[0].T
         off = 7.0 * rng.standard_normal() + 3.5 * rng.standard_normal() * np.linspace(-1, 1, rows)

@@ -76,7 +76,7 @@ def cells(observer: Observer, n: int, box: Array) -> tuple[Array, Array]:
     """
     shares = [low + (np.arange(n) + 0.5) / n * (high - low) for low, high in box]
     if observer.bounded > 1:
-        width = observer.angle_range(shares[0] * observer.reach[1])[1].repeat(n)
+        width = observer.space.angle_range(shares[0] * observer.reach[1])[1].repeat(n)
     else:
         width = np.ones(n ** len(shares))
     return _placed(observer, [a.ravel() for a in np.meshgrid(*shares, indexing="ij")], width)
@@ -139,7 +139,7 @@ def by_cubature(observer: Observer, rows: Array, tolerance: float) -> Array:
         def moments(at: Array, row: Array = row, top: float = top) -> Array:
             shares = list(np.atleast_2d(at.T))
             two = observer.bounded > 1
-            width = observer.angle_range(shares[0] * observer.reach[1])[1] if two else 1.0
+            width = observer.space.angle_range(shares[0] * observer.reach[1])[1] if two else 1.0
             contact, size = _placed(observer, shares, np.broadcast_to(width, shares[0].shape))
             mass = np.exp(observer.log_likelihood(row, contact) - top) * size
             off = contact[:, 0] - middle

@@ -117,7 +117,7 @@ def starts(observer: ww.Observer, row: Array, walkers: int, rng: np.random.Gener
     laplace = ww.posterior(observer, row, method="laplace")
     middle = np.stack([e.mean for e in laplace.estimates.values()])
     spread = 0.1 * rng.standard_normal((walkers, middle.size))
-    return np.asarray(observer.coordinates(middle) + spread)
+    return np.asarray(observer.space.unconstrain(middle) + spread)
 
 
 def emcee_loop(observer: ww.Observer, rows: Array, steps: int, move: str, vectorize: bool) -> Array:

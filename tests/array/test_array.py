@@ -119,7 +119,7 @@ def brute_force(
         r, theta = follicle.in_plane(place)
         top = np.zeros(len(r))
         near = r < own.reach[1]
-        top[near] = np.minimum(own.angle_range(r[near])[1], follicle.swept_in_plane)
+        top[near] = np.minimum(own.space.angle_range(r[near])[1], follicle.swept_in_plane)
         if y is None:
             touch = (theta > 0) & (theta < top)
             if s:

@@ -62,7 +62,7 @@ def main() -> None:
         sampler = emcee.EnsembleSampler(
             32, 1, lambda x, y=y: observer.log_density(x, y), vectorize=True
         )
-        x0 = observer.coordinates(np.full((32, 1), 0.5 * W.length))
+        x0 = observer.space.unconstrain(np.full((32, 1), 0.5 * W.length))
         sampler.run_mcmc(x0 + 0.1 * rng.standard_normal((32, 1)), 500)
     rate = n / (time.process_time() - start)
     print(f"{'1-D plain emcee loop, 32 walkers × 500 steps':44}{rate:12.1f} /s")

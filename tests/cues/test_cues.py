@@ -88,7 +88,7 @@ def test_priors_are_used_and_bound_the_reach():
     assert observer.reach == pytest.approx((10e-3, 30e-3))
     contact = np.array([20e-3, 0.2])
     expected = sum(d.logpdf(c) for d, c in zip(prior.values(), contact, strict=True))
-    x = observer.coordinates(contact)
+    x = observer.space.unconstrain(contact)
     log_jacobian = observer.contact(x)[1] - expected
     h = 1e-6
     slope = [

@@ -170,7 +170,7 @@ def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObje
     r = data.draw(SHARE) * observer.reach[1]
     contact = [r]
     if observer.bounded > 1:
-        limit = float(observer.angle_range(np.array([r]))[1][0])
+        limit = float(observer.space.angle_range(np.array([r]))[1][0])
         contact.append(data.draw(floats(0.02, 0.9)) * limit)
     contact = observer.at_middle(np.array(contact))
     signals, outcome = observer.signals(contact)

@@ -189,7 +189,7 @@ def compare(radius_ratio, curvature, friction, k, seed, count):
     observer = Observer(w, Friction(cue, friction), noise)
     rng = np.random.default_rng(seed)
     r = rng.uniform(0.2, 0.85, count) * observer.reach[1]
-    push = rng.uniform(0.1, 0.8, count) * observer.angle_range(r)[1]
+    push = rng.uniform(0.1, 0.8, count) * observer.space.angle_range(r)[1]
     reading = observer.read(np.stack([r, push], axis=-1), seed)
     found = posterior(observer, reading)
     for i in range(count):

@@ -176,7 +176,7 @@ def assert_as_all_at_once(observer, reading, hint=""):
     Within the error promised, and what the grid knows. Where it knows too little nothing is said,
     and False returned.
     """
-    x = observer.coordinates(observer.contact(find_mode(observer, reading)[0])[0])[0]
+    x = observer.space.unconstrain(observer.contact(find_mode(observer, reading)[0])[0])[0]
     mean, sd, log_evidence, known = turned_sums(observer, reading[0], x)
     found = ww.posterior(observer, reading)
     if not known < 1e-3 or found.status[0] == ww.Status.IMPRECISE:

@@ -77,13 +77,13 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
     """Of several deflections, beside a sum over distance and each deflection."""
     whisker = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
     observer = Observer(whisker, cues.ForceMap(), default_noise(whisker, cues.ForceMap(), k))
-    limit = observer.angle_range(np.array([distance]))[1]
+    limit = observer.space.angle_range(np.array([distance]))[1]
     readings = observer.read(
         np.column_stack([np.full(len(shares), distance), limit * shares]), seed
     )
     r = np.linspace(*between, 200)
     share = (np.arange(2000) + 0.5) / 2000
-    theta = observer.angle_range(r)[1][:, None] * share
+    theta = observer.space.angle_range(r)[1][:, None] * share
     place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
     signals, _ = observer.signals(place)
     log = np.log(distance_prior(observer, r))
@@ -167,7 +167,7 @@ def test_what_touches_share_is_summed(observer, known, contact):
     mass = np.empty((len(z), len(r)))
     for row, one in zip(mass, value, strict=True):
         straight = Observer(known(one), cues.ForceMap(), observer.noise)
-        low, width = straight.angle_range(r)
+        low, width = straight.space.angle_range(r)
         theta = low + width[:, None] * share
         signals, outcome = straight.signals(
             np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1)
@@ -210,7 +210,7 @@ def test_intervals_of_touches_of_one_stiffness_hold_the_distance():
     rng = np.random.default_rng(7)
     hit = []
     for r, _, stiffness in prior_draws(SOFT, 80, rng):
-        theta = SOFT.angle_range(np.array([r]))[1] * rng.random(3)
+        theta = SOFT.space.angle_range(np.array([r]))[1] * rng.random(3)
         found = touches(SOFT, SOFT.read([[r, one, stiffness] for one in theta], rng))
         low, high = found.interval()
         hit.append(low < r < high)

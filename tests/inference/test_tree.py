@@ -368,6 +368,21 @@ def test_a_force_that_turns_round_beside_the_push_needs_no_fine_cells():
     assert sum(kept.evaluated for kept in tree._kept.values()) < 250_000
 
 
+@pytest.mark.parametrize("below", [0.0, 3.24])
+def test_mass_against_the_tip_is_not_cut(below):
+    """Readings of the tip's moment at a known angle, and 3 sd below it, were up to 0.02 sd off."""
+    observer = ww.Observer(W, ForceMap("moment", deflection_angle=0.2), Weber(0.01))
+    tip = observer.signals([observer.reach[1] * (1 - 1e-9)])[0][0]
+    moment = tip * (1 - 0.01 * below)
+    p = ww.posterior(observer, moment)
+    log, contact = observer.log_density_and_contact(np.linspace(2.0, 5.0, 50_001)[:, None], moment)
+    weight = np.exp(log - log.max())
+    mean = weight @ contact[:, 0] / weight.sum()
+    sd = np.sqrt(weight @ (contact[:, 0] - mean) ** 2 / weight.sum())
+    assert abs(p.mean - mean) < 1e-4 * sd
+    assert abs(p.sd - sd) < 1e-4 * sd
+
+
 def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     """Row 144 of the kept truths at one azimuth: evidence 1.1 % too low, were they left out."""
     noise = [

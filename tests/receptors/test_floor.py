@@ -126,7 +126,7 @@ def test_information_is_finite_where_a_signal_is_zero(whisker, cue):
     column = np.argmax(observer.noise.floors(len(cue.signal_names)))
     found = 0
     for r in observer.reach[1] * np.linspace(0.1, 0.9, 9):
-        theta = np.linspace(0.001, 0.999, 500) * observer.angle_range(np.array(r))[1]
+        theta = np.linspace(0.001, 0.999, 500) * observer.space.angle_range(np.array(r))[1]
         contact = np.column_stack([np.full(500, r), theta])
         signal = observer.signals(contact)[0][:, column]
         for i in np.flatnonzero(signal[1:] * signal[:-1] < 0):

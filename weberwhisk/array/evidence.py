@@ -59,7 +59,7 @@ class Sensor:
     def largest(self, r: Array) -> Array:
         """Deflection up to which it touches at distances (n,): swept, or flicked past."""
         swept = np.full(np.shape(r), self.follicle.swept_in_plane)
-        return swept if self.taps else np.minimum(swept, self.observer.angle_range(r)[1])
+        return swept if self.taps else np.minimum(swept, self.observer.space.angle_range(r)[1])
 
     def touch_probability(self, place: ArrayLike) -> Array:
         """The probability (...) that it touches a pole at (..., 2)."""

@@ -62,7 +62,7 @@ def _starting_points(observer: Observer, reading: Array) -> Array:
     if len(observer.unknowns) == 1:
         found = tree_of(observer, TOLERANCE).sums(reading)
         refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
-        return observer.coordinates(found.best)
+        return observer.space.unconstrain(found.best)
     places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
     density = density_at(observer, places)
     best = np.zeros(len(reading), dtype=np.intp)

@@ -232,7 +232,7 @@ def quadrature(
         # is worse news than a ridge.
         some = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
         if some.size:
-            mode, _ = find_mode(observer, reading[some], observer.coordinates(best[some]))
+            mode, _ = find_mode(observer, reading[some], observer.space.unconstrain(best[some]))
             some = some[is_unidentified(observer, observer.contact(mode)[0])]
         status[some] = Status.UNIDENTIFIED
     outside = is_improbable(observer, reading, best)

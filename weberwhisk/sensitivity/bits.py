@@ -133,11 +133,13 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     rng = np.random.default_rng(seed)
     if not observer.space.reach_varies:
         r = DistancePrior(observer).ppf(rng.random(count))
-        return _drawn(observer, r, observer.angle_range(r)[1] if observer.bounded > 1 else r, rng)
+        return _drawn(
+            observer, r, observer.space.angle_range(r)[1] if observer.bounded > 1 else r, rng
+        )
     # The reach depends on a further unknown: draw from the widest range, keep possible contacts.
     low, high = observer.reach
     ends = np.linspace(low, high, 514)[1:-1]
-    widest = 1.001 * observer.angle_range(ends)[1].max() if observer.bounded > 1 else 0.0
+    widest = 1.001 * observer.space.angle_range(ends)[1].max() if observer.bounded > 1 else 0.0
     out = np.empty((0, len(observer.unknowns)))
     while len(out) < count:
         r = low + (high - low) * rng.random(count)
@@ -167,7 +169,7 @@ def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator)
         if name != "deflection_angle":
             drawn[name] = observer.prior[name].ppf(u)
             continue
-        low = observer.angle_range(r)[0]
+        low = observer.space.angle_range(r)[0]
         known = observer.prior.get(name)
         drawn[name] = low + u * width if known is None else _within(known, low, low + width, u)
     return np.stack([r, *drawn.values()], axis=-1)
