@@ -339,10 +339,11 @@ class LayeredSums:
         near = (log > -9.0) & (around(log, 1) > -9.0)
         return np.where(near, np.nan_to_num(step).max(axis=-1), 0.0)
 
-    def _box(self, row: int) -> tuple[list[Index], Array]:
-        """The nodes about the mass of one reading along each axis, and ln of the evidence there."""
+    def _box(self, row: int) -> tuple[list[Index], Index, Array]:
+        """About the mass of one reading: nodes along each axis, all numbers, ln of the evidence."""
         keys = self._keys(self.halvings[row])
-        log = self.log[self._grid(keys), row]
+        number = self._grid(keys)
+        log = self.log[number, row]
         log = np.where(np.isnan(log), -np.inf, log)
         best = np.unravel_index(log.argmax(), log.shape)
         out = []
@@ -350,7 +351,7 @@ class LayeredSums:
             own = keys[d]
             if axis.around:  # from the node opposite to the best on
                 shift = len(own) // 2 - int(best[d])
-                log = np.roll(log, shift, axis=d)
+                log, number = np.roll(log, shift, axis=d), np.roll(number, shift, axis=d)
                 step = own[1] - own[0]
                 own = own[best[d]] + step * (np.arange(len(own)) - len(own) // 2)
             along = np.moveaxis(log, d, 0).reshape(len(own), -1).max(axis=1)
@@ -358,9 +359,9 @@ class LayeredSums:
             low, high = max(live[0] - 1, 0), min(live[-1] + 2, len(own))
             if high - low < 2:
                 low, high = max(low - 1, 0), min(high + 1, len(own))
-            log = np.take(log, np.arange(low, high), axis=d)
+            log, number = (np.take(a, np.arange(low, high), axis=d) for a in (log, number))
             out.append(own[low:high])
-        return out, log
+        return out, number, log
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
@@ -369,7 +370,7 @@ class LayeredSums:
         if unknown < inner:
             self._refine(known, self._not_smooth)
         for row in known:
-            keys, log = self._box(int(row))
+            keys, number, log = self._box(int(row))
             at = np.array([row])
             d = unknown - inner
             if d >= 0 and self.axes[d].from_plane:
@@ -386,8 +387,7 @@ class LayeredSums:
                 held = log > log.max() - self.drop
                 quantile = np.full((*log.shape, len(SCORES)), np.nan)
                 for i in zip(*np.nonzero(held), strict=True):
-                    key = tuple(k[j] for k, j in zip(keys, i, strict=True))
-                    part, pair = self._place(key, int(row))
+                    part, pair = self._place(number[i], int(row))
                     quantile[i] = self._conditional(part, unknown)[pair]
                 held &= np.isfinite(quantile[..., 0])
                 quantile = quantile[..., ::stride]
@@ -409,10 +409,9 @@ class LayeredSums:
         quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*log.shape[:-1], -1)
         return np.logaddexp.reduce(log, axis=-1), np.isfinite(quantile[..., 0]), quantile
 
-    def _place(self, key: tuple[int, ...], row: int) -> tuple[_Part, int]:
-        """The sums of a reading at a node, on any turn: the part they are in, and their number."""
-        at = self.numbers[self.layers.on_first_turn(key)], row
-        return self.parts[self.part[at]], int(self.pair[at])
+    def _place(self, number: Any, row: int) -> tuple[_Part, int]:
+        """The sums of a reading at a node: the part they are in, and their number there."""
+        return self.parts[self.part[number, row]], int(self.pair[number, row])
 
     def _conditional(self, part: _Part, unknown: int) -> Array:
         """Quantiles (n, Q) of readings at nodes, of those that have mass there."""
@@ -422,17 +421,13 @@ class LayeredSums:
             part.quantiles[unknown] = extrapolated(part.found, ndtr(SCORES), unknown, 2, wanted)
         return part.quantiles[unknown]
 
-    def quantiles(self, p: Array, unknown: int) -> Array:
-        """Quantiles (B, Q) of an unknown."""
-        return extrapolated(self, p, unknown)
-
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((len(self.readings), count, len(self.observer.unknowns)), np.nan)
         known = np.flatnonzero(np.isfinite(self.log_evidence))
         self._refine(known, self._far_apart)
         for row in known:
-            keys, log = self._box(int(row))
+            keys, number, log = self._box(int(row))
             weight = np.exp(0.75 * (log - log.max())).ravel()
             weight /= weight.sum()
             many = rng.multinomial(OVER * count, weight)
@@ -440,7 +435,7 @@ class LayeredSums:
             for i in np.flatnonzero(many):
                 at = np.unravel_index(i, log.shape)
                 own = tuple(k[j] for k, j in zip(keys, at, strict=True))
-                part, pair = self._place(own, int(row))
+                part, pair = self._place(number[at], int(row))
                 proposed, log_proposed = part.found.proposals(int(many[i]), rng, pair)
                 x.append(proposed)
                 step = np.array([k[1] - k[0] for k in keys])

@@ -243,7 +243,7 @@ def quadrature(
     status[outside] = Status.IMPROBABLE_READING
 
     def quantile_of(p: Array, unknown: int) -> Array:
-        return np.concatenate([part.quantiles(p, unknown) for _, part in sums.parts()])
+        return np.concatenate([extrapolated(part, p, unknown) for _, part in sums.parts()])
 
     def quantile_error_of(p: Array, unknown: int) -> Array:
         # A share of the mass that moves the mean by its error may lie on the wrong side; and what
@@ -377,10 +377,6 @@ class PiecewiseSums:
             yield Spans(
                 np.array([row]), *(np.concatenate(c)[None] for c in zip(*pieces, strict=True))
             )
-
-    def quantiles(self, p: Array, unknown: int) -> Array:
-        """Quantiles (B, Q) of an unknown."""
-        return extrapolated(self, p, unknown)
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact."""

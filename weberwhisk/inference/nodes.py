@@ -184,14 +184,6 @@ class Layers:
             slope += more
         return readings, covariance, slope
 
-    def on_first_turn(self, node: tuple[int, ...]) -> tuple[int, ...]:
-        """The node (D,) that stands for one which may be some turns on."""
-        half = TURN // 2 * 2**HALVINGS
-        return tuple(
-            int((k + half) % (2 * half) - half) if axis.around else int(k)
-            for axis, k in zip(self.axes, node, strict=True)
-        )
-
     def values(self, nodes: Any) -> list[Array]:
         """Values of the unknowns at nodes, (D, ...)."""
         out = [axis.value(node) for axis, node in zip(self.axes, nodes, strict=True)]

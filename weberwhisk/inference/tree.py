@@ -383,11 +383,6 @@ class Tree:
         level.children[pattern] = child, first
         return child, first[cells].astype(np.intp)
 
-    def forget(self) -> None:
-        """Let go of all cells but the coarse ones."""
-        self.start.children.clear()
-        self.evaluated = self.start.count
-
     @property
     def bytes(self) -> int:
         """Memory of the cells, and of where the halves of each begin."""
@@ -414,8 +409,9 @@ class Tree:
         waiting = list(self._chunks(which, 512))
         while waiting:
             rows = waiting.pop()
-            if self.bytes > MEMORY:
-                self.forget()
+            if self.bytes > MEMORY:  # none are kept but the coarse ones
+                self.start.children.clear()
+                self.evaluated = self.start.count
             own = None if covariance is None else covariance[rows]
             descent = Descent(self, readings[rows], own, which[rows], rows, deeper[rows], out)
             left = descent.run(lowest[rows], 1.25 * MEMORY)

@@ -262,10 +262,6 @@ class Sums:
         density = np.exp(log - top[:, None, None])
         return _of_cells(leaves.rows, inside, value, density)
 
-    def quantiles(self, p: Array, unknown: int) -> Array:
-        """Quantiles (B, Q) of an unknown."""
-        return extrapolated(self, p, unknown)
-
     # -- draws -------------------------------------------------------------------------------------
 
     def proposals(self, count: int, rng: np.random.Generator, row: int) -> tuple[Array, Array]:
