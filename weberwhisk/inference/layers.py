@@ -261,10 +261,9 @@ class LayeredSums:
                 some = np.flatnonzero(among)
                 each[some] = np.maximum(each[some], off)
         each = np.minimum(each, 1e100)
-        # Sums over every other node are worse: on a circle as cells' are in `weighted.Sums.add`,
-        # along a friction as over a density with kinks: a third of 6.7e-3 where 2.2e-3 was missed.
+        # On a circle sums over every other node are off by the root of this, as in `Sums.add`.
         for d, axis in enumerate(self.axes):
-            each[d] = each[d] ** 2 if axis.around else each[d] / 3
+            each[d] = each[d] ** 2 if axis.around else each[d]
         inside = (weight * self.error_at[at]).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
