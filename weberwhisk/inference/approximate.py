@@ -48,9 +48,9 @@ def find_mode(
 ) -> tuple[Array, Array]:
     """The highest points x (B, U) of posteriors of readings (B, S), and ln of the density there.
 
-    From starts (B, U), by default the best point of a coarse grid; with one unknown or two the best
-    cell of their tree, between which no peak is lost: a signature (§2d) may have more peaks, and
-    narrower ones, than any fixed grid has places.
+    From starts (B, U), by default the best point of a coarse grid; of distance alone, and with the
+    angle, the best cell of their tree, between which no peak is lost: a signature (§2d) may have
+    more peaks, and narrower ones, than any fixed grid has places.
     """
     if starts is None:
         starts = _starting_points(observer, reading)
@@ -59,7 +59,7 @@ def find_mode(
 
 def _starting_points(observer: Observer, reading: Array) -> Array:
     """Where `find_mode` starts, (B, U)."""
-    if len(observer.unknowns) <= 2:
+    if len(observer.unknowns) == observer.bounded:
         found = tree_of(observer, TOLERANCE).sums(reading)
         refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
         return observer.space.unconstrain(found.best)
@@ -214,18 +214,19 @@ def _beside_the_density(
 ) -> tuple[Array, Array, Array]:
     """How far mean and sd of the contact are from the Gaussian's, and what the sd is, (B, U) each.
 
-    With one unknown or two from quadrature: in fusions with a signature there was a second peak, 18
-    sd off. With more the density is summed over a coarse grid along the axes of the Gaussian. Along
-    each axis alone it would miss what bends across them. A Gaussian leaves next to nothing at the
-    grid's edge; of what there is as much again is taken to lie beyond, at the least as far off.
+    Of distance alone, and with the angle, by quadrature: in fusions with a signature there was a
+    second peak, 18 sd off. Else the density is summed over a coarse grid along the axes of the
+    Gaussian. Along each axis alone it would miss what bends across them. A Gaussian leaves next to
+    nothing at the grid's edge; of what there is as much again is taken to lie beyond, at the least
+    as far off.
     """
     at_mode = observer.contact(mode)[0]
     dim = mode.shape[1]
-    if dim <= 2:
+    if dim == observer.bounded:
         exact = tree_of(observer, TOLERANCE).sums(reading)
         return np.abs(exact.mean - at_mode), np.abs(exact.sd - sd), exact.sd
     reach = 4.5
-    t = np.linspace(-reach, reach, 9 if dim == 3 else 7)
+    t = np.linspace(-reach, reach, {2: 13, 3: 9}.get(dim, 7))
     z = np.stack([a.ravel() for a in np.meshgrid(*[t] * dim, indexing="ij")], axis=-1)
     edge = (np.abs(z) == reach).any(axis=1)
     mean, variance = np.empty((2, *at_mode.shape))
