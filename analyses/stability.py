@@ -8,7 +8,9 @@ shares nothing with what is judged: SciPy's DOP853 in raw SI for models and JNDs
 `reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
 each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
 all cases, which replay what is found). With `--only` some domains are hunted and drawn, and the
-rest of stability is the kept table's.
+rest of stability is the kept table's. Cases are kept in `parts` as each domain is done, and taken
+from there by the next run into the same folder: remove it where the package has changed. Two runs,
+each `--only` some, fill two cores, and a third puts all together.
 """
 
 from __future__ import annotations
@@ -113,17 +115,23 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
 
 
 def run_all(
-    size: int, generations: int, seed: int = SEED, only: Sequence[str] = ()
+    size: int, generations: int, seed: int, only: Sequence[str], parts: Path
 ) -> pd.DataFrame:
     """All cases of all domains, or of some, `size` times a domain's effort of each kind."""
     tables = []
+    parts.mkdir(parents=True, exist_ok=True)
     for i, (d, panel, x, y, effort) in enumerate(domains()):
         if only and d.name not in only:
             continue
         panel = d.name if only else panel
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the references, past the ends of what exists
-            found = hunt(d, size * effort, generations, seed + i)
+        part = parts / f"{i}_{size}_{generations}_{seed}.pkl"
+        if part.exists():
+            found = pd.read_pickle(part)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of the references, past the ends of what exists
+                found = hunt(d, size * effort, generations, seed + i)
+            found.to_pickle(part)
         tables.append(found.assign(panel=panel, across=found[x], up=found[y]))
         print(f"{d.name}: {len(found)} cases, {len(silent(found))} wrong in silence", flush=True)
     return pd.concat(tables, ignore_index=True)
@@ -205,7 +213,7 @@ def make(
     folder: Path, *, short: bool = False, seed: int = SEED, only: Sequence[str] = ()
 ) -> pd.DataFrame:
     """Tables and figure into `folder`."""
-    cases = run_all(*((1, 1) if short else (6, 3)), seed, only)
+    cases = run_all(*((1, 1) if short else (6, 3)), seed, only, folder / "parts")
     counts = summary(cases)
     if only:
         kept = pd.read_csv(HERE / "figures/stability.csv")
