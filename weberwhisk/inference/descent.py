@@ -66,7 +66,8 @@ class Descent:
     def run(self, least: Array, room: float) -> Index:
         """From the coarse cells on, but for readings whose density is nowhere above `least`.
 
-        Readings that are left to do where the tree has outgrown `room` bytes, unless it is one.
+        Returns the readings that are left to do once the tree has outgrown `room` bytes, but
+        finishes a single one.
         """
         least = least - self.log_slope
         todo = [self.first()]
