@@ -16,6 +16,7 @@ each `--only` some, fill two cores, and a third puts all together.
 from __future__ import annotations
 
 import os
+import pickle
 import warnings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -39,7 +40,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from weberwhisk import plots
-from weberwhisk._util.output import Run
+from weberwhisk._util.output import Run, atomic_write
 
 HERE = Path(__file__).parent
 SEED = 20110166
@@ -124,14 +125,14 @@ def run_all(
         if only and d.name not in only:
             continue
         panel = d.name if only else panel
-        part = parts / f"{i}_{size}_{generations}_{seed}.pkl"
+        part = parts / f"{d.name}, {size}, {generations}, {seed + i}.pkl"
         if part.exists():
             found = pd.read_pickle(part)
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the references, past the ends of what exists
                 found = hunt(d, size * effort, generations, seed + i)
-            found.to_pickle(part)
+            atomic_write(part, pickle.dumps(found))
         tables.append(found.assign(panel=panel, across=found[x], up=found[y]))
         print(f"{d.name}: {len(found)} cases, {len(silent(found))} wrong in silence", flush=True)
     return pd.concat(tables, ignore_index=True)

@@ -162,9 +162,8 @@ def touches(asked: Asked) -> Made:
     for k, cue in ((0.3, known), (0.1, known), (0.1, ww.cues.UnknownStiffness(known))):
         observer = ww.Observer(whisker, cue, default_noise(whisker, cue, k))
         r = 0.6 * whisker.length
-        angle = observer.space.angle_range(np.array([r]))[
-            1
-        ]  # as likely anywhere in it, as the prior
+        # As likely anywhere in the range, as the prior.
+        angle = observer.space.angle_range(np.array([r]))[1]
         name = f"k = {k:g}" if cue is known else "the same, stiffness unknown"
         table = ww.sensitivity.touches_jnd(
             observer,

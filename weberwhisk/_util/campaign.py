@@ -63,8 +63,8 @@ def run(
     ----------
     work : callable
         ``work(chunk, seed) -> DataFrame``, always of the same columns: a function at the top level
-        of a module, or a `functools.partial` of one. With `out`, chunks must name what the partial
-        holds, as only chunks are compared with those of the file.
+        of a module, or a `functools.partial` of one. With `out`, chunks must name the
+        arguments of the partial: the file is compared by chunks alone.
     chunks : iterable of dict
         What may be written as JSON.
     seed : int or SeedSequence

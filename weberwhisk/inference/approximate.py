@@ -30,7 +30,7 @@ from .result import (
     refuse_impossible,
 )
 from .tree import TOLERANCE, tree_of
-from .weighted import interpolate
+from .weighted import Sums, interpolate
 
 __all__ = [
     "climb", "count_peaks", "density_at", "find_mode", "is_divided", "laplace", "sample",
@@ -59,20 +59,26 @@ def find_mode(
 
 def _starting_points(observer: Observer, reading: Array) -> Array:
     """Where `find_mode` starts, (B, U)."""
-    if len(observer.unknowns) == observer.bounded:
-        found = tree_of(observer, TOLERANCE).sums(reading)
-        refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
-        return observer.space.unconstrain(found.best)
+    if exact := _exact(observer, reading):
+        return observer.space.unconstrain(exact.best)
     places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
     density = density_at(observer, places)
     best = np.zeros(len(reading), dtype=np.intp)
-
     for start in range(0, len(reading), 256):
         rows = slice(start, start + 256)
         table = density(reading[rows])
         best[rows] = table.argmax(axis=1)
         refuse_impossible(reading[rows], table.max(axis=1))
     return places[best]
+
+
+def _exact(observer: Observer, reading: Array) -> Sums | None:
+    """Posteriors by the tree where it has all unknowns: distance, or distance and angle."""
+    if len(observer.unknowns) > observer.bounded:
+        return None
+    found = tree_of(observer, TOLERANCE).sums(reading)
+    refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
+    return found
 
 
 def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
@@ -173,7 +179,9 @@ def _hessian(observer: Observer, reading: Array, x: Array) -> Array:
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    x, top = find_mode(observer, reading)
+    exact = _exact(observer, reading)
+    starts = observer.space.unconstrain(exact.best) if exact else None
+    x, top = find_mode(observer, reading, starts)
     values, vectors = np.linalg.eigh(_hessian(observer, reading, x))
     # Where minus the Hessian is not positive, of its absolute value.
     root = vectors / np.sqrt(np.maximum(np.abs(values), 1e-6))[:, None]
@@ -181,7 +189,10 @@ def laplace(
     to_contact = contact_slope(observer.space, x) @ root
     covariance = to_contact @ np.swapaxes(to_contact, 1, 2)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    mean_error, sd_error, summed = _beside_the_density(observer, reading, x, root, sd)
+    if exact:  # in fusions with a signature there was a second peak, 18 sd off
+        mean_error, sd_error, summed = np.abs(exact.mean - contact), np.abs(exact.sd - sd), exact.sd
+    else:
+        mean_error, sd_error, summed = _beside_the_density(observer, reading, x, root, sd)
     worst = (np.maximum(mean_error, sd_error) / np.minimum(sd, summed)).max(axis=1)
     improbable = is_improbable(observer, reading, contact)
     status = np.where(improbable, Status.IMPROBABLE_READING, Status.CONVERGED)
@@ -214,17 +225,12 @@ def _beside_the_density(
 ) -> tuple[Array, Array, Array]:
     """How far mean and sd of the contact are from the Gaussian's, and what the sd is, (B, U) each.
 
-    Of distance alone, and with the angle, by quadrature: in fusions with a signature there was a
-    second peak, 18 sd off. Else the density is summed over a coarse grid along the axes of the
-    Gaussian. Along each axis alone it would miss what bends across them. A Gaussian leaves next to
-    nothing at the grid's edge; of what there is as much again is taken to lie beyond, at the least
-    as far off.
+    The density itself is summed over a coarse grid along the axes of the Gaussian. Along each axis
+    alone it would miss what bends across them. A Gaussian leaves next to nothing at the grid's
+    edge; of what there is as much again is taken to lie beyond, at the least as far off.
     """
     at_mode = observer.contact(mode)[0]
     dim = mode.shape[1]
-    if dim == observer.bounded:
-        exact = tree_of(observer, TOLERANCE).sums(reading)
-        return np.abs(exact.mean - at_mode), np.abs(exact.sd - sd), exact.sd
     reach = 4.5
     t = np.linspace(-reach, reach, {2: 13, 3: 9}.get(dim, 7))
     z = np.stack([a.ravel() for a in np.meshgrid(*[t] * dim, indexing="ij")], axis=-1)

@@ -262,8 +262,7 @@ class LayeredSums:
                 each[some] = np.maximum(each[some], off)
         each = np.minimum(each, 1e100)
         # On a circle sums over every other node are off by the root of this, as in `Sums.add`.
-        for d, axis in enumerate(self.axes):
-            each[d] = each[d] ** 2 if axis.around else each[d]
+        each[[axis.around for axis in self.axes]] **= 2
         inside = (weight * self.error_at[at]).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))

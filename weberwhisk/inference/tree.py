@@ -37,7 +37,7 @@ ROOT_STEP = 0.5
 #: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
 DROP = 20.0
 #: Bytes of cells that are kept for all observers together, a quarter more while readings need them;
-#: half as much again for a posterior's readings. Set it before posteriors are asked for. Unknown
+#: half as much again for a posterior's readings. Set it before the first posterior. An unknown
 #: friction takes 1 GB in all, and is no quicker with twice as much.
 MEMORY = 250_000_000
 
@@ -356,10 +356,10 @@ class Tree:
         )
         if len(first) < level.count:
             first = np.append(first, np.full(level.count - len(first), -1, dtype=np.int32))
-        asked = np.unique(cells[first[cells] < 0])
-        for begin in range(0, len(asked), PAIRS // parts):
-            new = asked[begin : begin + PAIRS // parts]
-            halves = np.indices(shape).reshape(unknowns, -1)
+        halves = np.indices(shape).reshape(unknowns, -1)
+        missing = np.unique(cells[first[cells] < 0])
+        for begin in range(0, len(missing), PAIRS // parts):
+            new = missing[begin : begin + PAIRS // parts]
             place = level.data[self.rows.place, new][:, :, None] * np.array(shape)[:, None, None]
             place = (place + halves[:, None]).reshape(unknowns, -1).T
             which = np.repeat(level.data[self.rows.which.start, new].astype(np.intp), parts)
@@ -426,7 +426,8 @@ class Tree:
             tries[again] += 1
             out.error[again[tries[again] == 3]] = np.inf
             again = np.append(rows[left], again[tries[again] < 3])
-            waiting += [again] if again.size else []
+            if again.size:
+                waiting.append(again)
         # That of a log-normal reading whose sign is not its signal's.
         out.log_evidence[out.log_evidence < -1e8] = np.nan
         return out

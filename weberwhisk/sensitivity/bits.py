@@ -133,9 +133,8 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     rng = np.random.default_rng(seed)
     if not observer.space.reach_varies:
         r = DistancePrior(observer).ppf(rng.random(count))
-        return _drawn(
-            observer, r, observer.space.angle_range(r)[1] if observer.bounded > 1 else r, rng
-        )
+        width = observer.space.angle_range(r)[1] if observer.bounded > 1 else r
+        return _drawn(observer, r, width, rng)
     # The reach depends on a further unknown: draw from the widest range, keep possible contacts.
     low, high = observer.reach
     ends = np.linspace(low, high, 514)[1:-1]
