@@ -15,7 +15,7 @@ from audit import (
     shifted,
 )
 from scipy import stats
-from scipy.special import logit
+from scipy.special import logit, logsumexp
 from short_forms import short_or_full, slow_but
 
 import weberwhisk as ww
@@ -381,6 +381,21 @@ def test_mass_against_the_tip_is_not_cut(below):
     sd = np.sqrt(weight @ (contact[:, 0] - mean) ** 2 / weight.sum())
     assert abs(p.mean - mean) < 1e-4 * sd
     assert abs(p.sd - sd) < 1e-4 * sd
+
+
+@pytest.mark.parametrize(("angle", "status"), [(1e-12, "CONVERGED"), (2e-14, "IMPRECISE")])
+def test_touches_lighter_than_any_cell_are_flagged(angle, status):
+    """Such have an evidence that is too low: of fusions of any whisker 31 of 120 in silence."""
+    observer = ww.Observer(W, ForceMap(), Weber(0.1))
+    contact = np.array([30e-3, angle])
+    reading = observer.signals(contact)[0]
+    p = ww.posterior(observer, reading)
+    middle = observer.space.unconstrain(contact)
+    axes = [m + np.linspace(-3.0, 3.0, 601) for m in middle]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    log_evidence = logsumexp(observer.log_density(x, reading)) + 2 * np.log(0.01)
+    assert p.status == Status[status]
+    assert (abs(p.log_evidence - log_evidence) < 1e-3) == (status == "CONVERGED")
 
 
 def test_measurement_errors_keep_cells_in_which_a_force_turns_round():

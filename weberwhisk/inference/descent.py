@@ -203,10 +203,23 @@ class Descent:
         leaves = Leaves(level.step, out, first, place, log)
         each = self.out.add(leaves, contact, self.log_slope[own], self.tree.smooth)
         wide = (each > 0.5 * each.max(axis=0)) & (self.out.error[out] > self.tree.tolerance)
+        # Finer cells find no more of what lies beyond the coarse ones.
+        self.out.error[out] = np.maximum(self.out.error[out], self._at_ends(leaves))
         self.refined[own] += wide.any(axis=0)
         again = wide.any(axis=0) & (self.refined[own] <= self.tree.refinements)
         again &= counts * 2.0 ** wide.sum(axis=0) <= MOST
         return wide, again, np.ones(len(own), dtype=bool)
+
+    def _at_ends(self, leaves: Leaves) -> Array:
+        """The share of each mass that is in the first or last coarse cells of an axis, (n,)."""
+        low, high = self.tree.inner_ends / leaves.step
+        place = leaves.place
+        if (place.min(axis=1) >= low).all() and (place.max(axis=1) < high).all():
+            return np.zeros(len(leaves.rows))
+        weight = np.exp(leaves.log - np.maximum.reduceat(leaves.log, leaves.first)[leaves.owner])
+        at_end = ((place < low[:, None]) | (place >= high[:, None])).any(axis=0)
+        share = np.add.reduceat(weight * at_end, leaves.first)
+        return np.asarray(share / np.add.reduceat(weight, leaves.first))
 
     def _halved(self, task: Pairs, wide: Flags, again: Flags, last: Flags) -> list[Pairs]:
         """The cells of readings that go on `again` (n,), halved along the `wide` axes (U, n).

@@ -173,6 +173,8 @@ class Tree:
         #: The coarse cells, and by number of what is given where they begin and how many they are.
         self.start = Level(np.ones(self.unknowns), np.empty((0, 0)))
         self.begins, self.counts = np.zeros((2, 0), dtype=int)
+        #: Along each axis, the inner ends of the first and of the last of the coarse cells.
+        self.inner_ends = np.zeros((2, self.unknowns))
 
     # -- evaluation --------------------------------------------------------------------------------
 
@@ -290,6 +292,7 @@ class Tree:
         step = np.full(unknowns, root)
         first = np.floor(low / step).astype(int)
         count = np.ceil(high / step).astype(int) + 1 - first
+        self.inner_ends = np.stack([first + 1, first + count - 1]) * root
         pairs = zip(first, count, strict=True)
         axes = [0.5 * (2 * f + np.arange(2 * n + 1)) * root for f, n in pairs]
         x = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
