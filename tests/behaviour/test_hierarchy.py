@@ -24,6 +24,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.integrate import of_fraction
+from weberwhisk.behaviour.population_fit import integrate_population
 
 Array = NDArray[np.float64]
 
@@ -180,6 +181,31 @@ def test_population_and_animals_by_brute_force(count: int) -> None:
     for name, (mean, sd) in expected.items():
         assert found[name][0] == pytest.approx(mean, abs=0.01 * sd), name
         assert found[name][1] == pytest.approx(sd, rel=0.01), name
+
+
+def test_tails_that_lapses_explain_do_not_hide_what_answers_say() -> None:
+    """Nodes went by the sd of the likelihood with its tail: intervals ended 0.16 sd too far out."""
+    k = np.linspace(np.log(0.001), np.log(0.2), 81)
+    likelihoods = [
+        (k, np.logaddexp(-0.5 * ((k - np.log(middle)) / sd) ** 2, np.where(k < -3, -4.5, -50.0)))
+        for middle, sd in ((0.037, 0.2), (0.041, 0.25))
+    ]
+    weber, spread = stats.lognorm(np.log(3.0), scale=0.1), stats.halfnorm(scale=0.5)
+    found = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, spread)
+    x, mu = np.linspace(k[0], k[-1], 701), np.linspace(-6.0, 0.0, 151)[:, None, None]
+    tau = (0.5 + np.arange(200))[:, None] * 0.0125
+    edges = np.append(x, 2 * x[-1] - x[-2]) - 0.5 * (x[1] - x[0])
+    kernel = np.diff(ndtr((edges - mu) / tau), axis=-1)
+    like = [np.exp(np.interp(x, *one)) for one in likelihoods]
+    prior = weber.pdf(np.exp(mu)) * np.exp(mu) * spread.pdf(tau)
+    for own, other, mass in zip(like, like[::-1], found.animals, strict=True):
+        others = prior[..., 0] * (kernel @ other)
+        exact = own * np.einsum("mt,mtx->x", others, kernel)
+        mean = exact @ x / exact.sum()
+        sd = np.sqrt(exact @ (x - mean) ** 2 / exact.sum())
+        middle = mass @ found.log_k
+        assert middle == pytest.approx(mean, abs=0.01 * sd)
+        assert np.sqrt(mass @ (found.log_k - middle) ** 2) == pytest.approx(sd, rel=0.005)
 
 
 @pytest.mark.slow

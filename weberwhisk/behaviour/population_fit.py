@@ -431,8 +431,10 @@ def integrate_population(
         Prior of its sd between animals.
     """
     mean, sd = np.array([_moments(*one) for one in animals]).T
+    # Of the middle of each likelihood: lapses may explain any answers, a tail that widens the sd.
+    core = min(np.ptp(_quantile(k, _mass(log), [0.25, 0.75])) / 1.35 for k, log in animals)
     # Spreads are distinguished from 0.1 on, however little the animals say.
-    step = min(float(sd.min()) / 4, 0.15)
+    step = min(float(core) / 4, 0.15)
     first, last = min(k[0] for k, _ in animals), max(k[-1] for k, _ in animals)
     x = np.arange(first - 0.5, last + 0.5, step)
     log_like = np.array([_onto(x, *one) for one in animals])
@@ -477,10 +479,15 @@ def integrate_population(
 
 def _moments(log_k: Array, log_like: Array) -> tuple[float, float]:
     """Mean and sd of ln k in the likelihood of one animal."""
-    mass = np.exp(log_like - log_like.max())
-    mass /= mass.sum()
+    mass = _mass(log_like)
     mean = float(mass @ log_k)
     return mean, float(np.sqrt(mass @ (log_k - mean) ** 2))
+
+
+def _mass(log: Array) -> Array:
+    """Shares of the whole of logarithms (n,)."""
+    mass = np.exp(log - log.max())
+    return np.asarray(mass / mass.sum())
 
 
 def _onto(x: Array, log_k: Array, log_like: Array) -> Array:
