@@ -189,6 +189,13 @@ def test_log_normal_noise_has_webers_moments_and_its_shape_as_k_falls():
         assert divergence == pytest.approx(0.75 * k**2, rel=20 * k**2)
 
 
+@pytest.mark.parametrize("signal", [1e-120, 1e-158, 1e-300, 5e-324, 0.0])
+def test_signals_next_to_nothing_exclude_a_reading(signal):
+    """Where an sd underflowed the likelihood was NaN, and a walker that went there ended a run."""
+    log = Weber(0.01).log_likelihood([1e-6, 1e-4], [signal, signal**2])
+    assert log < -1e200
+
+
 def test_a_log_normal_receptor_does_not_mistake_the_sign():
     noise = LogNormal(0.5)
     assert np.array_equal(np.sign(noise.sample(SIGNALS, seed=2)), np.sign(SIGNALS))

@@ -84,6 +84,7 @@ class Gaussian(ReceptorNoise):
         constant = np.log(np.diag(root)).sum() - 0.5 * size * np.log(2 * np.pi)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             z = (np.asarray(reading, dtype=float) - self.mean(signals)) / sd
+            z = np.clip(z, -1e150, 1e150)  # where an sd is next to nothing
             value = constant - 0.5 * ((z @ root.T) ** 2).sum(axis=-1) - np.log(sd).sum(axis=-1)
         return np.where((sd > 0).all(axis=-1), value, -np.inf)
 
