@@ -161,15 +161,20 @@ def _parts(
 ) -> tuple[list[list[_Part]], Array]:
     """Of each reading what its posterior is a sum of, and the error of its sums."""
     out: list[list[_Part]] = [[] for _ in group.readings]
-    error = np.zeros(len(out))
+    every = []
     for observer in pieces_of(group.observer):
         for rows, found, log in _sums(observer, group.readings, group.covariance, axis, node):
-            np.maximum.at(error, rows, np.nan_to_num(found.error, posinf=0.0))
+            every.append((rows, log, found.error))
             for i, one in _layers(found, spans):
                 if np.isfinite(log[i]):
                     norm = log[i] - found.log_evidence[i]
                     out[rows[i]].append(one._replace(log=one.log + norm))
-    return out, error
+    rows, log, error = map(np.concatenate, zip(*every, strict=True))
+    top = np.full(len(out), -np.inf)
+    np.fmax.at(top, rows, log)
+    weight = np.exp(np.where(np.isfinite(log), log - top[rows], -np.inf))
+    total, off = (np.bincount(rows, w, len(out)) for w in (weight, weight * np.fmin(error, 1.0)))
+    return out, off / np.fmax(total, 1e-300)
 
 
 def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
