@@ -285,7 +285,7 @@ def judged(
         FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
     ):  # fmt: skip
         return status, notes
-    table = checks(fit)
+    table = fit.checked
     fired = table[table["p"] < FALSE_ALARMS / max(len(table), 1)]
     notes = (*notes, *(_in_words(fit, str(name), row) for name, row in fired.iterrows()))
     named = next((s for s, by in SEEN_BY.items() if fired.index.isin(by).any()), None)

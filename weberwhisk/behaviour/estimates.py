@@ -56,6 +56,11 @@ class Estimates(Shown):
         raise NotImplementedError
 
     @property
+    def checked(self) -> pd.DataFrame:
+        """What `criticism.checks` finds; the fit has it too."""
+        raise NotImplementedError
+
+    @property
     def weber_fraction(self) -> float:
         """Posterior median of the Weber fraction (see `unit`)."""
         return float(self.posterior.quantile("weber_fraction", 0.5))
@@ -273,23 +278,10 @@ class Estimates(Shown):
             labels | compared(cells.n, cells.count, cells.n * p, cells.n * p * (1 - p))
         )
 
-    @cached_property
+    @property
     def misfit(self) -> float:
-        """Posterior-predictive p of Σ (count − n P)²/(n P (1 − P)) over pairs of stimuli: the share
-        of draws whose own replicated data lie as far from the curve as the data do."""
-        cells = self.model.cells
-        if not cells.n.size:
-            return 1.0
-        draws = self.posterior.draws().thinned(1000)
-        p, q = self.model.expected(draws)
-        again = self.model.simulate(draws, np.random.default_rng(0))
-        variance = cells.n * p * q
-
-        def distance(count: Array) -> Array:
-            square = (count - cells.n * p) ** 2
-            return np.divide(square, variance, out=np.zeros_like(p), where=variance > 0).sum(axis=1)
-
-        return float(np.mean(distance(again) >= distance(cells.count)))
+        """Posterior-predictive p of how far the data lie from the curve: "levels" of `checks`."""
+        return float(self.checked["p"].get("levels", 1.0))
 
     @cached_property
     def lapse_sensitivity(self) -> pd.DataFrame:

@@ -13,8 +13,7 @@ from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
-from . import report
-from .criticism import judged
+from . import criticism, report
 from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates, tails
@@ -61,7 +60,12 @@ class WeberFit(Estimates):
     @cached_property
     def _judged(self) -> tuple[FitStatus, tuple[str, ...]]:
         """Made when first used: the checks take some ten times as long as the fit."""
-        return judged(self, *self._verdict)
+        return criticism.judged(self, *self._verdict)
+
+    @cached_property
+    def checked(self) -> pd.DataFrame:
+        """What `weberwhisk.behaviour.criticism.checks` finds, a row a check."""
+        return criticism.checks(self)
 
     @cached_property
     def _verdict(self) -> tuple[FitStatus, tuple[str, ...]]:
