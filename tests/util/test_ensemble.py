@@ -219,6 +219,20 @@ def test_a_walker_on_a_needle_is_stuck() -> None:
     assert not np.any(fit.shortfall[[0, 2]] & Shortfall.STUCK)
 
 
+def test_walkers_on_a_peak_of_next_to_no_mass_are_stuck() -> None:
+    """As many in each ensemble, so that ensembles agree: an sd was 14 times too large."""
+    start = np.random.default_rng(20).normal(size=(3, 4, 8, 1))
+    start[1, :, 4:] += 1000
+    fit = sample_stacked(
+        lambda x: np.logaddexp(-0.5 * x[..., 0] ** 2, -0.5 * (x[..., 0] - 1000) ** 2 - 40),
+        start,
+        seed=21,
+        max_steps=400,
+    )
+    assert bool(fit.shortfall[1] & Shortfall.STUCK)
+    assert not np.any(fit.shortfall[[0, 2]] & Shortfall.STUCK)
+
+
 def test_emcee_takes_a_start_outside_the_support_and_this_does_not() -> None:
     def density(x: Array) -> Array:
         return np.where(x[..., 0] > 0, -x[..., 0], -np.inf)

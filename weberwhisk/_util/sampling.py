@@ -52,7 +52,7 @@ class Shortfall(IntFlag):
             Shortfall.RHAT: f"independent ensembles disagree (R-hat above {RHAT})",
             Shortfall.SHORT: f"fewer than {LENGTH} autocorrelation times in all ensembles together",
             Shortfall.IMPRECISE: "Monte Carlo error above the tolerance",
-            Shortfall.STUCK: "a walker has not moved",
+            Shortfall.STUCK: "a walker has not moved, or not to where the mass is",
         }
         return "; ".join(reasons[flag] for flag in Shortfall if flag & self) or "converged"
 
@@ -177,7 +177,7 @@ def sample_stacked(
 
     They are judged after 128 steps and whenever there are half as many more, a first quarter left
     out as burn-in. One is done when the Monte Carlo errors of all means and sds are small enough,
-    its ensembles agree and are long enough, and every walker moves.
+    its ensembles agree and are long enough, and every walker moves to where the mass is.
 
     ``log_density(x)``, with x (B, M, D), any M, returns (B, M): −inf, but never NaN or +inf; with
     `indexed`, ``log_density(x, index)`` is of some posteriors, as those that are done drop out;
@@ -231,7 +231,10 @@ def sample_stacked(
         state = sampler.run_mcmc(state, pairs, thin_by=2, skip_initial_state_check=True)
         steps, check = steps + 2 * pairs, check * 3 // 2
         chain = np.concatenate([chain, columns(sampler.get_chain())], axis=2)
-        stuck = (sampler.backend.accepted == 0).reshape(len(alive), -1).any(axis=1)
+        log = sampler.get_log_prob().max(axis=0).reshape(len(alive), -1)
+        # One that stays so many nats below the best is on a peak of next to no mass.
+        stuck = (log < log.max(axis=1, keepdims=True) - 20.0).any(axis=1)
+        stuck |= (sampler.backend.accepted == 0).reshape(len(alive), -1).any(axis=1)
         last = steps >= max_steps
         verdict = _judged(chain, steps, stuck, precision, last)
         done = verdict.converged | last
