@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
-from ._util.values import Array, Codes, Fields, Flags
+from ._util.values import Array, Codes, Fields, Flags, weighted_quantiles
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .inference import Observer
@@ -422,9 +422,7 @@ def _summary(state: Array, weight: Array, push: float) -> tuple[Any, ...]:
     contact, path = state[:, :2], _world(state[:, 0], state[:, 1], push)
     mean, middle = weight @ contact, weight @ path
     sd, path_sd = (np.sqrt(weight @ np.square(v - m)) for v, m in ((contact, mean), (path, middle)))
-    order = np.argsort(contact[:, 0])
-    rank = np.cumsum(weight[order])
-    interval = np.interp([0.025, 0.975], rank - weight[order] / 2, contact[order, 0])
+    interval = weighted_quantiles(contact[:, 0], weight, [0.025, 0.975])
     return *mean, *sd, interval, middle, path_sd
 
 

@@ -16,14 +16,14 @@ from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import __version__
 
 __all__ = [
     "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded",
-    "counted", "distinct", "in_short", "interval_text", "member",
-    "methods_text", "paragraphs", "pd", "with_units",
+    "counted", "density_quantiles", "distinct", "in_short", "interval_text", "member",
+    "methods_text", "paragraphs", "pd", "weighted_quantiles", "with_units",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -314,6 +314,22 @@ def distinct(*given: Array) -> tuple[list[Array], Index]:
         np.ravel_multi_index(np.broadcast_arrays(*codes), shape), return_inverse=True
     )
     return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
+
+
+def weighted_quantiles(values: Array, weight: Array, p: ArrayLike) -> Array:
+    """Quantiles at `p` of values (n,) of which each has a weight: it lies in the middle of it."""
+    order = np.argsort(values)
+    share = (np.cumsum(weight[order]) - weight[order] / 2) / weight.sum()
+    return np.interp(np.asarray(p, dtype=float), share, values[order])
+
+
+def density_quantiles(x: Array, density: Array, p: ArrayLike) -> Array:
+    """Quantiles (..., Q) at p (Q,) of densities (..., X), straight between x, (X,) or (..., X)."""
+    mass = np.cumsum((density[..., 1:] + density[..., :-1]) / 2 * np.diff(x), axis=-1)
+    below = np.insert(mass / mass[..., -1:], 0, 0.0, axis=-1).reshape(-1, np.shape(x)[-1])
+    rows = zip(below, np.broadcast_to(x, density.shape).reshape(below.shape), strict=True)
+    found = [np.interp(np.asarray(p, dtype=float), rise, at) for rise, at in rows]
+    return np.reshape(found, density.shape[:-1] + np.shape(p))
 
 
 def methods_text(sentences: Sequence[str]) -> str:

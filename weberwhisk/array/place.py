@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.values import Array, Flags, Shown, pd
+from .._util.values import Array, Flags, Shown, pd, weighted_quantiles
 from ..inference import Status
+from ..inference.weighted import Spans
 from ..receptors import Seed
 from .evidence import JointEvidence, one_place
 from .observer import ArrayObserver, Readings
@@ -133,11 +134,8 @@ class Place(Shown):
         """Equal-tailed intervals of x and of y, (2, 2), m."""
         tail = (1 - checks.mass(mass)) / 2
         out = np.full((2, 2), np.nan)
-        for i, values in enumerate(self.places.T):
-            order = np.argsort(values)
-            rise = np.cumsum(self.weights[order]) - self.weights[order] / 2
-            if len(rise):
-                out[i] = np.interp([tail, 1 - tail], rise, values[order])
+        for i, values in enumerate(self.places.T if len(self.places) else ()):
+            out[i] = weighted_quantiles(values, self.weights, [tail, 1 - tail])
         return out
 
     def ellipse(self, mass: float = 0.95) -> tuple[float, float, float]:
@@ -176,12 +174,9 @@ class Place(Shown):
         middle, width = ((edges[:, 1:] + edges[:, :-1]) / 2).ravel(), np.diff(edges).ravel()
         mean = float(mass @ middle)
         sd = float(np.sqrt(mass @ ((middle - mean) ** 2 + width**2 / 12)))
-        # Each span's mass is spread evenly over it.
-        ends = np.concatenate([middle - width / 2, middle + width / 2])
-        slope = np.concatenate([mass / np.maximum(width, 1e-12), -mass / np.maximum(width, 1e-12)])
-        order = np.argsort(ends)
-        rise = np.cumsum(np.cumsum(slope[order])[:-1] * np.diff(ends[order]))
-        return mean, sd, np.interp([0.025, 0.975], np.r_[0.0, rise], ends[order])
+        ends = middle - width / 2, middle + width / 2, mass
+        spans = Spans(np.zeros(1, dtype=np.intp), *(part[None] for part in ends))
+        return mean, sd, spans.quantiles(np.array([0.025, 0.975]))[0]
 
     @property
     def bits(self) -> float:

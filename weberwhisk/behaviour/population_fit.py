@@ -24,7 +24,14 @@ from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.output import plain
 from .._util.sampling import ArvizData, to_arviz
-from .._util.values import Array, Shown, counted, interval_text, methods_text
+from .._util.values import (
+    Array,
+    Shown,
+    counted,
+    interval_text,
+    methods_text,
+    weighted_quantiles,
+)
 from ..inference.coordinates import in_words
 from .criticism import FALSE_ALARMS
 from .estimates import tails
@@ -102,7 +109,7 @@ class PopulationFit(Shown):
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
-        return _quantile(*self._nodes(parameter), probability)
+        return weighted_quantiles(*self._nodes(parameter), probability)
 
     def interval(
         self, mass: float = 0.95, parameter: str = "weber_fraction"
@@ -118,7 +125,7 @@ class PopulationFit(Shown):
             values, weight = self._nodes(name)
             mean = weight @ values
             sd = np.sqrt(weight @ (values - mean) ** 2)
-            rows.append((mean, sd, *_quantile(values, weight, [0.5, first, last]), mass))
+            rows.append((mean, sd, *weighted_quantiles(values, weight, [0.5, first, last]), mass))
         columns = ["mean", "sd", "median", "lower", "upper", "mass"]
         return pd.DataFrame(rows, pd.Index(self.parameters, name="parameter"), columns)
 
@@ -206,13 +213,6 @@ class PopulationFit(Shown):
             {name: values.reshape(4, draws) for name, values in sample.items()},
             attrs={"status": self.status.value},
         )
-
-
-def _quantile(values: Array, mass: Array, probability: ArrayLike) -> Array:
-    """Quantiles of values (n,) of which each has a probability."""
-    order = np.argsort(values)
-    below = np.cumsum(mass[order]) - 0.5 * mass[order]
-    return np.interp(np.asarray(probability, dtype=float), below, values[order])
 
 
 @one_blas_thread
@@ -321,7 +321,8 @@ def fit_population(
     likelihoods = [of_fraction(fit.model.merged(), fit.weber_fraction) for fit in each]
     weber = believed.weber_fraction
     found = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, prior)
-    quantiles = [np.exp(_quantile(found.log_k, m, [0.5, 0.025, 0.975])) for m in found.animals]
+    p = [0.5, 0.025, 0.975]
+    quantiles = [np.exp(weighted_quantiles(found.log_k, mass, p)) for mass in found.animals]
     table = own.join(pd.DataFrame(quantiles, kept.index, ["weber_fraction", "lower", "upper"]))
     status = _status(found, prior, len(kept))
     by_chance = bdtrc(misfits.sum() - 1, len(own), FALSE_ALARMS) > FALSE_ALARMS
@@ -430,11 +431,9 @@ def integrate_population(
     spread : frozen distribution
         Prior of its sd between animals.
     """
-    mean, sd = np.array([_moments(*one) for one in animals]).T
-    # Of the middle of each likelihood: lapses may explain any answers, a tail that widens the sd.
-    core = min(np.ptp(_quantile(k, _mass(log), [0.25, 0.75])) / 1.35 for k, log in animals)
+    mean, sd, core = np.array([_moments(*one) for one in animals]).T
     # Spreads are distinguished from 0.1 on, however little the animals say.
-    step = min(float(core) / 4, 0.15)
+    step = min(float(core.min()) / 4, 0.15)
     first, last = min(k[0] for k, _ in animals), max(k[-1] for k, _ in animals)
     x = np.arange(first - 0.5, last + 0.5, step)
     log_like = np.array([_onto(x, *one) for one in animals])
@@ -477,17 +476,16 @@ def integrate_population(
     return Population(mu, tau, mass, x, found, top + float(np.log(total * cell)), error)
 
 
-def _moments(log_k: Array, log_like: Array) -> tuple[float, float]:
-    """Mean and sd of ln k in the likelihood of one animal."""
-    mass = _mass(log_like)
+def _moments(log_k: Array, log_like: Array) -> tuple[float, ...]:
+    """Mean and sd of ln k in the likelihood of one animal, and the sd that its quartiles have.
+
+    Lapses may explain any answers: the likelihood has a tail that widens its sd.
+    """
+    mass = np.exp(log_like - log_like.max())
+    mass /= mass.sum()
     mean = float(mass @ log_k)
-    return mean, float(np.sqrt(mass @ (log_k - mean) ** 2))
-
-
-def _mass(log: Array) -> Array:
-    """Shares of the whole of logarithms (n,)."""
-    mass = np.exp(log - log.max())
-    return np.asarray(mass / mass.sum())
+    low, high = weighted_quantiles(log_k, mass, [0.25, 0.75])
+    return mean, float(np.sqrt(mass @ (log_k - mean) ** 2)), float(high - low) / 1.35
 
 
 def _onto(x: Array, log_k: Array, log_like: Array) -> Array:

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import minimize
@@ -133,7 +134,7 @@ class QuadraturePosterior(Fields):
             values = self.model.at(name, fine)
         else:
             values, density = self._bias_density(self.model.group_names.index(name))
-        cdf = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        cdf = cumulative_trapezoid(density, initial=0)
         return values, cdf / cdf[-1], density / density.sum()
 
     def _bias_density(self, group: int) -> tuple[Array, Array]:

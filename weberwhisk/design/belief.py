@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
-from .._util.values import Array
+from .._util.values import Array, density_quantiles
 from ..behaviour.axes import bias_at, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings
 from ..behaviour.likelihood import WeberModel
@@ -195,8 +195,7 @@ class Belief:
         fine = np.linspace(z[0], z[-1], 40 * z.size)
         log_mass = np.maximum(np.log(np.maximum(self.mass_k, TINY)), -200.0)
         density = np.exp(CubicSpline(z, log_mass - log_mass.max())(fine))
-        below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-        at = np.interp(probability, below / below[-1], fine)
+        at = density_quantiles(fine, density, probability)
         return self._grid.model.value("weber_fraction", at)
 
     def predicted(self) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, rel_entr
 
 from .._util import checks
-from .._util.values import Array, counted
+from .._util.values import Array, counted, density_quantiles
 from ..behaviour.priors import SPREAD
 from ..behaviour.psychometric import difference_sd
 from .experiments import compare, fit, simulate
@@ -266,11 +266,7 @@ def known_half_widths(
     density = np.exp(density - density.max(axis=1, keepdims=True))
     mean = middle[:, None] + away
     density *= np.exp(hypothesis.priors.log_density("weber_fraction", np.exp(mean)) + mean)
-    below = np.cumsum(density, axis=1) / density.sum(axis=1, keepdims=True)
-    low, half, high = (
-        np.array([np.interp(q, b, m) for b, m in zip(below, mean, strict=True)])
-        for q in (0.025, 0.5, 0.975)
-    )
+    low, half, high = density_quantiles(mean, density, [0.025, 0.5, 0.975]).T
     return np.asarray((np.exp(high - half) - np.exp(low - half)) / 2)
 
 

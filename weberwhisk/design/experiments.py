@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import beta as beta_distribution
 
 from .._util.campaign import one_blas_thread
-from .._util.values import Array
+from .._util.values import Array, density_quantiles
 from ..behaviour.axes import score_prior
 from ..behaviour.fit import fit_weber
 from ..behaviour.integrate import log_sum, marginal
@@ -245,19 +245,8 @@ def _integrated(x: Array, log_density: Array, finer: int = 8) -> tuple[Array, Ar
     fine = np.linspace(x[0], x[-1], finer * (x.size - 1) + 1)
     # Of a normal density the logarithm is interpolated without error, however far the nodes.
     density = np.exp(CubicSpline(x, relative.T)(fine).T)
-    step = fine[1] - fine[0]
-    evidence = np.log(density.sum(axis=1) * step) + top[:, 0]
-    mass = np.cumsum(0.5 * step * (density[:, 1:] + density[:, :-1]), axis=1)
-    mass /= mass[:, -1:]
-    out = np.empty((len(mass), 3))
-    for i, q in enumerate((0.025, 0.5, 0.975)):
-        at = np.argmax(mass >= q, axis=1)
-        after, before = (
-            np.take_along_axis(np.pad(mass, ((0, 0), (1, 0))), at[:, None] + j, 1)[:, 0]
-            for j in (1, 0)
-        )
-        out[:, i] = fine[at] + step * (q - before) / (after - before)
-    return evidence, out
+    evidence = np.log(density.sum(axis=1) * (fine[1] - fine[0])) + top[:, 0]
+    return evidence, density_quantiles(fine, density, [0.025, 0.5, 0.975])
 
 
 def populations(

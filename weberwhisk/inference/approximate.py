@@ -143,10 +143,8 @@ def score(observer: Any, reading: Array, x: Array) -> tuple[Array, Array, Array]
     gradient = (steps[:, 1 : 1 + dim] - steps[:, 1 + dim :]) / (2 * h)
     slope = np.swapaxes(signals[:, 1 : 1 + dim] - signals[:, 1 + dim :], 1, 2) / (2 * h)
     information = np.swapaxes(slope, 1, 2) @ observer.noise.fisher(signals[:, 0]) @ slope
-    space = observer.space
-    bounded = space.cue.unknowns[: space.bounded]
-    if given := [i for i, name in enumerate(bounded) if name in space.prior]:
-        normal = space.prior_scores(contact[..., : len(bounded)])[..., given]  # each of sd 1
+    normal = observer.space.prior_scores(contact)  # each of sd 1
+    if normal.shape[-1]:
         rise = np.swapaxes(normal[:, 1 : 1 + dim] - normal[:, 1 + dim :], 1, 2) / (2 * h)
         information += np.swapaxes(rise, 1, 2) @ rise
     known = np.isfinite(information).all(axis=(1, 2), keepdims=True) & inside[:, None, None]

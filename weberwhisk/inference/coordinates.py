@@ -165,39 +165,26 @@ class ContactCoordinates:
         return x
 
     def prior_scores(self, contact: Array) -> Array:
-        """How far up its prior each unknown is, as standard normal scores (..., U) within ±9.
+        """How far up the priors that were given of distance and angle contacts (..., U) are.
 
-        Of the first unknowns alone where a contact has fewer.
+        As standard normal scores (..., P) within ±9.
         """
-        out = np.empty(contact.shape)
-        for i, name in enumerate(self.cue.unknowns[: contact.shape[-1]]):
-            value = contact[..., i]
-            if name in self.prior and hasattr(self.prior[name], "sf"):
-                out[..., i] = to_normal(self.prior[name], value)
-                continue
-            low, width = self.reach[0], np.asarray(self.reach[1] - self.reach[0])
-            if i:
-                low, width = self.angle_range(contact[..., 0])
-                width = np.maximum(width, np.finfo(float).tiny)
-            below, above = (value - low) / width, (low + width - value) / width
-            with np.errstate(divide="ignore"):
-                lower, upper = ndtri(np.clip(below, 0, 1)), -ndtri(np.clip(above, 0, 1))
-            out[..., i] = np.where(below < above, lower, upper)
-        return np.clip(out, -9.0, 9.0)
+        given = [(self.cue.unknowns.index(name), self.prior[name]) for name in self.peaks]
+        scores = [to_normal(prior, contact[..., i]) for i, prior in given]
+        none = np.zeros((*contact.shape[:-1], 0))
+        return np.clip(np.stack(scores, axis=-1), -9.0, 9.0) if scores else none
 
     def given_scores(self, contact: Array) -> Array:
-        """`prior_scores` (N, P) of the bounded unknowns whose priors were given, without an end.
+        """`prior_scores` without an end.
 
         Beyond ±9 by how far ln of the density is below its highest.
         """
-        names = self.cue.unknowns[: self.bounded]
-        given = [i for i, name in enumerate(names) if name in self.prior]
-        if not given:
-            return np.zeros((len(contact), 0))
-        scores = self.prior_scores(contact[..., : self.bounded])[..., given]
-        below = [self.peaks[names[i]] - self.prior[names[i]].logpdf(contact[..., i]) for i in given]
-        depth = np.sqrt(2 * np.maximum(np.stack(below, axis=-1), 0.0))
-        return np.copysign(np.maximum(np.abs(scores), depth), scores)
+        scores = self.prior_scores(contact)
+        for j, (name, peak) in enumerate(self.peaks.items()):
+            below = peak - self.prior[name].logpdf(contact[..., self.cue.unknowns.index(name)])
+            depth = np.sqrt(2 * np.maximum(below, 0.0))
+            scores[..., j] = np.copysign(np.maximum(np.abs(scores[..., j]), depth), scores[..., j])
+        return scores
 
     @cached_property
     def peaks(self) -> Mapping[str, float]:

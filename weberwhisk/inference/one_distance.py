@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.special import gamma, gammainc, logsumexp, ndtr
 
-from .._util.values import Array, Index
+from .._util.values import Array, Index, density_quantiles
 from .coordinates import constrain_distance, leaps
 from .layers import SCORES, LayeredSums
 from .methods import pieces_of
@@ -27,7 +27,7 @@ from .result import held_prior
 from .tree import DROP, TOLERANCE, tree_of
 from .weighted import Leaves, Sums, mixed
 
-__all__ = ["OneDistance", "ReadingGroup", "one_distance", "quantiles_of", "shared_unknowns"]
+__all__ = ["OneDistance", "ReadingGroup", "one_distance", "shared_unknowns"]
 
 
 class ReadingGroup(NamedTuple):
@@ -58,7 +58,7 @@ class OneDistance:
 
     def quantiles(self, p: Array) -> Array:
         """Quantiles of the distance, m."""
-        return quantiles_of(p, self.r, self.density)
+        return density_quantiles(self.r, self.density, p)
 
     @property
     def best(self) -> float:
@@ -405,9 +405,3 @@ def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
         mean, sd, r, np.gradient(fine, r), float(evidence), max(error, float(inner)),
         (value, spread, float(axis.value(every[best]))), own[best].worse,
     )  # fmt: skip
-
-
-def quantiles_of(p: Array, r: Array, density: Array) -> Array:
-    """Quantiles of a density at distances, straight between them."""
-    rise = np.append(0.0, np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(r)))
-    return np.interp(p, rise / rise[-1], r)

@@ -11,9 +11,9 @@ from scipy.special import ndtr
 
 from .._util import checks
 from .._util.checks import kind
-from .._util.values import Array, Index, Line, interval_text
+from .._util.values import Array, Index, Line, density_quantiles, interval_text
 from .observer import Observer
-from .one_distance import OneDistance, ReadingGroup, one_distance, quantiles_of, shared_unknowns
+from .one_distance import OneDistance, ReadingGroup, one_distance, shared_unknowns
 from .result import Status, is_improbable, is_unidentified
 from .tree import TOLERANCE
 
@@ -69,7 +69,7 @@ class Touches(Line):
             For a mass outside 0 to 1.
         """
         tail = (1 - checks.mass(mass)) / 2
-        low, high = quantiles_of(np.array([tail, 1 - tail]), self.r, self.density)
+        low, high = density_quantiles(self.r, self.density, [tail, 1 - tail])
         return float(low), float(high)
 
 

@@ -15,7 +15,7 @@ from scipy.stats import f as f_distribution
 
 from .. import domain
 from .._util import checks
-from .._util.values import Array, Index, Shown
+from .._util.values import Array, Index, Shown, weighted_quantiles
 from ..cues import Cue
 from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
@@ -228,8 +228,7 @@ def calibrate(
     rows = {}
     for name, values in named.items():
         mean = weight @ values
-        order = np.argsort(values)
-        low, high = np.interp([0.025, 0.975], np.cumsum(weight[order]), values[order])
+        low, high = weighted_quantiles(values, weight, [0.025, 0.975])
         sd = np.sqrt(weight @ (values - mean) ** 2)
         rows[name] = {"mean": mean, "sd": sd, "low_95": low, "high_95": high}
     parameters = pd.DataFrame.from_dict(rows, orient="index")

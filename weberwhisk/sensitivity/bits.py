@@ -51,8 +51,8 @@ class DistancePrior:
         # There is no contact at the very ends: take the density next to them.
         inside = np.clip(self.r, np.nextafter(self.low, 1.0), np.nextafter(self.high, 0.0))
         density = distance_prior(observer, inside)
-        mass = np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(self.r))
-        self.density, self.mass = density / mass[-1], np.append(0.0, mass / mass[-1])
+        mass = scipy.integrate.cumulative_trapezoid(density, self.r, initial=0)
+        self.density, self.mass = density / mass[-1], mass / mass[-1]
 
     def support(self) -> tuple[float, float]:
         """Ends of the reach, m."""
