@@ -383,6 +383,17 @@ def test_mass_against_the_tip_is_not_cut(below):
     assert abs(p.sd - sd) < 1e-4 * sd
 
 
+def test_cells_whose_noise_vanishes_hide_no_others():
+    """Signals beside rest have squares that underflow: a curved whisker had no posterior."""
+    whisker = ww.Whisker(0.05, 1e-4, 5e-6, 3e9, curvature=-12.0)
+    noise = GeneralisedWeber(0.03, floor=[0, 1.2e-6])
+    observer = ww.Observer(whisker, cues.UnknownCurvature(ForceMap(), 2.0), noise)
+    contact = np.array([30e-3, 0.2, 0.5])
+    p = ww.posterior(observer, observer.signals(contact)[0])
+    assert p.status == Status.CONVERGED
+    assert abs(p.mean - contact[0]) < 2 * p.sd
+
+
 @pytest.mark.parametrize(("angle", "status"), [(1e-12, "CONVERGED"), (2e-14, "IMPRECISE")])
 def test_touches_lighter_than_any_cell_are_flagged(angle, status):
     """Such have an evidence that is too low: of fusions of any whisker 31 of 120 in silence."""

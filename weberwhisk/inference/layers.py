@@ -263,6 +263,13 @@ class LayeredSums:
         each = np.minimum(each, 1e100)
         # On a circle sums over every other node are off by the root of this, as in `Sums.add`.
         each[[axis.around for axis in self.axes]] **= 2
+        # Where the mass ends between two nodes, by half of that beside: halves may agree by chance.
+        # Beside none with so much does a Gaussian fall by more than 3 nats once its halves agree.
+        shape, share = (*number.shape, len(rows)), (weight / total).reshape(*number.shape, -1)
+        for d, axis in enumerate(self.axes):
+            sides = [_shifted(log.reshape(shape), k, axis=d, circle=axis.around) for k in (-1, 1)]
+            ends = np.min(sides, axis=0) < log.reshape(shape) - 6.0
+            each[d] = np.maximum(each[d], 0.5 * (share * ends).reshape(-1, len(rows)).sum(axis=0))
         inside = (weight * self.error_at[at]).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))

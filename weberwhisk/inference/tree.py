@@ -232,7 +232,8 @@ class Tree:
         out = np.empty((self.height, len(place)))
         total = np.abs(change).sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            held = np.isfinite(at.log_prior) & (scale > 0).all(axis=1)
+            # Not where noise vanishes with the signal: its square is no number.
+            held = np.isfinite(at.log_prior) & (scale > 1e-150).all(axis=1)
             scale = np.where(held[:, None], scale, 1.0)
             log_prior = np.where(held, at.log_prior, -np.inf)
             sd = scale[:, :size]
