@@ -8,6 +8,4 @@ from .follicles import Follicle, Published, WhiskerArray, published
 from .observer import ArrayObserver
 from .place import Place, place
 
-__all__ = [
-    "ArrayObserver", "Follicle", "Place", "Published", "WhiskerArray", "place", "published",
-]  # fmt: skip
+__all__ = ["ArrayObserver", "Follicle", "Place", "Published", "WhiskerArray", "place", "published"]

@@ -32,9 +32,7 @@ from .result import (
 from .tree import TOLERANCE, tree_of
 from .weighted import Sums, interpolate
 
-__all__ = [
-    "climb", "count_peaks", "density_at", "find_mode", "is_divided", "laplace", "sample",
-]  # fmt: skip
+__all__ = ["climb", "count_peaks", "density_at", "find_mode", "is_divided", "laplace", "sample"]
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
 #: posterior that has not converged is called so: one unknown, and more.

@@ -212,8 +212,7 @@ class Descent:
 
     def _at_ends(self, leaves: Leaves) -> Array:
         """The share of each mass that is in the first or last coarse cells of an axis, (n,)."""
-        low, high = self.tree.inner_ends / leaves.step
-        place = leaves.place
+        place, (low, high) = leaves.place, self.tree.inner_ends / leaves.step
         if (place.min(axis=1) >= low).all() and (place.max(axis=1) < high).all():
             return np.zeros(len(leaves.rows))
         weight = np.exp(leaves.log - np.maximum.reduceat(leaves.log, leaves.first)[leaves.owner])

@@ -394,8 +394,7 @@ def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
     heavy = np.flatnonzero(held & (share > 1e-9))
     near = slice(max(heavy[0] - 1, 0), heavy[-1] + 2)
     quantile = np.array([one.quantiles(ndtr(SCORES)) for one in own[near]])
-    row: Index = np.zeros(1, dtype=np.intp)
-    spans = mixed(row, log[near], held[near], quantile, SCORES, 16)
+    spans = mixed(np.array([0]), log[near], held[near], quantile, SCORES, 16)
     fine = ndtr(np.linspace(SCORES[0], SCORES[-1], 1601))
     r = spans.quantiles(fine)[0]
     best = int(log.argmax())

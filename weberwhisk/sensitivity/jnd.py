@@ -17,9 +17,7 @@ from .._util.values import Array, Flags
 from ..inference.observer import Observer
 from ..mechanics.contact import Outcome
 
-__all__ = [
-    "SD", "convert_jnd", "criterion_factor", "fisher_jnd", "is_linear", "weber_propagation",
-]  # fmt: skip
+__all__ = ["SD", "convert_jnd", "criterion_factor", "fisher_jnd", "is_linear", "weber_propagation"]
 
 #: The default criterion: the sd of one observation.
 SD = "d'=1"
