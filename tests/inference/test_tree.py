@@ -383,6 +383,18 @@ def test_mass_against_the_tip_is_not_cut(below):
     assert abs(p.sd - sd) < 1e-4 * sd
 
 
+def test_mass_that_ends_between_two_nodes_is_an_error():
+    """A side so long that the pole is at the tip: 6e-3 sd off, said to be within 1e-3."""
+    observer = load("stability_posteriors").observer("angle-side-angle, side unknown", 0.01)
+    reading = np.array([1.26284167, 1.72570207])
+    p = ww.posterior(observer, reading)
+    mean, sd, known = load("stability_three").brute(observer, reading, 2.0)
+    assert known < 1e-3
+    assert p.status == Status.CONVERGED
+    assert abs(p.mean - mean) < 2e-3 * sd
+    assert abs(p.sd - sd) < 2e-3 * sd
+
+
 def test_cells_whose_noise_vanishes_hide_no_others():
     """Signals beside rest have squares that underflow: a curved whisker had no posterior."""
     whisker = ww.Whisker(0.05, 1e-4, 5e-6, 3e9, curvature=-12.0)
