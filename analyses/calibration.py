@@ -9,7 +9,9 @@ Truths are drawn from the observer's own prior, readings from `observer.read` (t
 posterior that has not looked at the data (Modrák et al. 2023, Bayesian Analysis). Uniform means:
 the ECDF stays within simultaneous bands (Säilynoja, Bürkner & Vehtari 2022, Statistics and
 Computing 32, 32). The broken models at the end must be caught by the same test. Writes calibration
-(CSV, PNG, SVG): ranks' p-values and coverage at 50, 80 and 95 %; `--draw` draws such a table.
+(CSV, PNG, SVG): ranks' p-values and coverage at 50, 80 and 95 %; `--draw` draws such a table. What
+is done is kept beside it (JSON lines), from where the next run into the same folder goes on: remove
+it where the package has changed.
 """
 
 from __future__ import annotations
@@ -453,7 +455,9 @@ def make(
     """Table, or the one `drawn`, and figure into `folder`; `how` is for `campaign.run`."""
     table = drawn
     if table is None:
-        rows = run_all(SHORT if short else FULL, **how)
+        folder.mkdir(parents=True, exist_ok=True)
+        log = folder / f"calibration.{'short' if short else 'full'}.jsonl"
+        rows = run_all(SHORT if short else FULL, out=log, **how)
         table = pd.DataFrame([r.numbers() for r in rows])
     with Run(folder, "calibration", {"short": short}, SEED) as run:
         run.table("calibration", table)
