@@ -12,7 +12,7 @@ from weberwhisk.inference import default_noise
 from weberwhisk.inference.result import distance_prior
 from weberwhisk.inference.touches import touches
 from weberwhisk.mechanics.contact import Outcome
-from weberwhisk.receptors import Weber
+from weberwhisk.receptors import LogNormal, Weber
 from weberwhisk.sensitivity import prior_draws, touches_jnd
 
 W = Whisker(50e-3, 100e-6, 5e-6)
@@ -265,3 +265,13 @@ def test_touches_that_no_contact_explains_or_that_tell_of_none_say_so(observer, 
 def test_misuse_of_touches_is_refused(work, says):
     with pytest.raises(ValueError, match=says):
         work()
+
+
+@pytest.mark.parametrize("noise", [Weber(0.01), LogNormal(0.1)], ids=["Weber", "log-normal"])
+@pytest.mark.parametrize("factor", [[-1.0, -1.0], [1e36, 1e-25]])
+def test_a_reading_of_no_contact_among_touches_is_said(noise, factor):
+    """Its errors overflowed where distances had next to no sd."""
+    observer = Observer(W, cues.UnknownStiffness(cues.ForceMap()), noise)
+    reading = observer.signals(np.tile([30e-3, 0.2, 1.0], (3, 1)))[0]
+    reading[1] *= factor
+    assert touches(observer, reading).status == Status.IMPROBABLE_READING

@@ -170,7 +170,7 @@ def _parts(
                     norm = log[i] - found.log_evidence[i]
                     out[rows[i]].append(one._replace(log=one.log + norm))
     rows, log, error = map(np.concatenate, zip(*every, strict=True))
-    top = np.full(len(out), -np.inf)
+    top = np.full(len(out), -1e300)
     np.fmax.at(top, rows, log)
     weight = np.exp(np.where(np.isfinite(log), log - top[rows], -np.inf))
     total, off = (np.bincount(rows, w, len(out)) for w in (weight, weight * np.fmin(error, 1.0)))
@@ -377,7 +377,7 @@ def _summed(
         m, s, v, u = np.abs(np.subtract(moments(half), found))
         off = max(m, s) / found[1], max(v, u) / max(found[3], 1e-300)
         error = max(error, abs(2 * half.sum() - 1), *off)
-    return found, share, float(error**2)
+    return found, share, float(min(error, 1e100) ** 2)
 
 
 def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
