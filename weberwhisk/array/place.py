@@ -174,8 +174,8 @@ class Place(Shown):
         middle, width = ((edges[:, 1:] + edges[:, :-1]) / 2).ravel(), np.diff(edges).ravel()
         mean = float(mass @ middle)
         sd = float(np.sqrt(mass @ ((middle - mean) ** 2 + width**2 / 12)))
-        ends = middle - width / 2, middle + width / 2, mass
-        spans = Spans(np.zeros(1, dtype=np.intp), *(part[None] for part in ends))
+        low, high = edges[:, :-1].reshape(1, -1), edges[:, 1:].reshape(1, -1)
+        spans = Spans(np.zeros(1, dtype=np.intp), low, high, mass[None])
         return mean, sd, spans.quantiles(np.array([0.025, 0.975]))[0]
 
     @property

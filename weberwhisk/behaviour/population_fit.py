@@ -24,14 +24,7 @@ from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.output import plain
 from .._util.sampling import ArvizData, to_arviz
-from .._util.values import (
-    Array,
-    Shown,
-    counted,
-    interval_text,
-    methods_text,
-    weighted_quantiles,
-)
+from .._util.values import Array, Shown, counted, interval_text, methods_text, weighted_quantiles
 from ..inference.coordinates import in_words
 from .criticism import FALSE_ALARMS
 from .estimates import tails

@@ -265,10 +265,10 @@ class LayeredSums:
         each[[axis.around for axis in self.axes]] **= 2
         # Where the mass ends between two nodes, by half of that beside: halves may agree by chance.
         # Beside none with so much does a Gaussian fall by more than 3 nats once its halves agree.
-        shape, share = (*number.shape, len(rows)), (weight / total).reshape(*number.shape, -1)
+        at_node, share = (v.reshape(*number.shape, -1) for v in (log, weight / total))
         for d, axis in enumerate(self.axes):
-            sides = [_shifted(log.reshape(shape), k, axis=d, circle=axis.around) for k in (-1, 1)]
-            ends = np.min(sides, axis=0) < log.reshape(shape) - 6.0
+            sides = [_shifted(at_node, k, axis=d, circle=axis.around) for k in (-1, 1)]
+            ends = np.min(sides, axis=0) < at_node - 6.0
             each[d] = np.maximum(each[d], 0.5 * (share * ends).reshape(-1, len(rows)).sum(axis=0))
         inside = (weight * self.error_at[at]).sum(axis=0)
         self.error[rows] = np.maximum(each.max(axis=0), inside / total)
