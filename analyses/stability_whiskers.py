@@ -171,7 +171,9 @@ def _at(o: Observer, value: float) -> Any:
         reach=o.reach,
         forward=o.forward,
         cue=o.cue,
-        angle_range=lambda r: o.space.angle_range(r, known(np.stack([r, r], axis=-1))),
+        space=SimpleNamespace(
+            angle_range=lambda r: o.space.angle_range(r, known(np.stack([r, r], axis=-1)))
+        ),
         log_likelihood=lambda reading, contact: o.log_likelihood(reading, known(contact)),
     )
 

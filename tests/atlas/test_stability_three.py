@@ -11,6 +11,7 @@ import weberwhisk as ww
 
 posteriors = load("stability_posteriors")
 three = load("stability_three")
+whiskers = load("stability_whiskers")
 #: Readings that the search of the atlas found, and what plain sums say of the distance, m.
 SIDE = [0.5938296, 0.865055]
 SIGNATURES = [
@@ -54,6 +55,19 @@ def test_the_sum_over_three_unknowns_is_of_the_package_s_model(
             off.append(found[i, j] - np.log(slope * np.trapezoid(density, third)))
     assert len(off) > 2
     np.testing.assert_allclose(off, off[0], atol=2e-3)
+
+
+def test_a_known_friction_out_of_an_unknown_one_is_the_observer_s_own() -> None:
+    """Rows of evidence, at every distance, beside those of an observer told the friction."""
+    unknown = whiskers.rubbing({"curved": 1, "fraction": 1})
+    told = whiskers.cues.Friction(whiskers.cues.ForceMap(), 0.2)
+    known = ww.Observer(unknown.whisker, told, unknown.noise)
+    reading, _ = known.signals(np.array([30e-3, 0.3]))
+    r = np.linspace(25e-3, 35e-3, 9)
+    of, one = (posteriors._rows(o, reading, r, 96)[0] for o in (whiskers._at(unknown, 0.2), known))
+    away = one > one.max() - 20
+    assert away.sum() > 3
+    np.testing.assert_allclose(of[away] - of.max(), one[away] - one.max(), atol=1e-3)
 
 
 @pytest.mark.parametrize("name", posteriors.OBSERVERS)
