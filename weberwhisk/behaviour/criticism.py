@@ -19,8 +19,10 @@ from scipy.special import bdtr, ndtri
 
 from .._util.checks import generator, one_of
 from .._util.values import Array, Index
+from .encodings import encoding_for
 from .estimates import Estimates, check_fit, compared
 from .likelihood import gather
+from .priors import PARAMETERS, priors_for
 from .states import streaks
 from .trials import STIMULI, in_order
 from .verdict import FitStatus, too_few_kinds
@@ -380,4 +382,16 @@ def _with(fit: Estimates, *more: str, **changed: Any) -> str:
             said.append(f'{name}="{value}"' if isinstance(value, str) else f"{name}={value}")
     call = f"fit_weber({', '.join(['trials', *said])})"
     imported = f", with from weberwhisk.behaviour.effects import {', '.join(names)}"
-    return call + imported * bool(names)
+    return call + imported * bool(names) + _kept(fit)
+
+
+def _kept(fit: Estimates) -> str:
+    """What else such a fit takes from this one, where this one has it of its own."""
+    model, trials = fit.model, fit.trials
+    usual = encoding_for(trials.scale, trials.log_unit, fit.noise)
+    effects = {effect.name: effect.prior for effect in model.effects}
+    unit_known = trials.scale == "linear" or trials.log_unit is not None
+    believed = priors_for(None, model.cells, unit_known, model.task, effects)
+    other = [believed.words(n) != model.priors.words(n) for n in (*PARAMETERS, *effects)]
+    own = ["encoding"] * (type(fit.encoding) is not type(usual)) + ["priors"] * any(other)
+    return f", and the {' and '.join(own)} of this fit" if own else ""
