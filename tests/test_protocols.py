@@ -118,7 +118,7 @@ def test_a_new_law_of_noise_in_four_lines():
     assert_allclose(new.information(at) / same.information(at), (100 + 0.5) / (100 + 2.0))
     choices = ww.behaviour.CueEncoding(new)  # without a Weber fraction its noise is all known
     assert_allclose(choices.floor_sd(at), new.noise.sd(new.signals(at)[0]))
-    assert not choices.has_weber_fraction
+    assert not choices.sd_per_weber_fraction(at).any()
     p = ww.posterior(new, new.read(at, seed=1))
     r = np.linspace(1e-4, W.length, 20_001)[:-1]
     density = np.exp(new.log_likelihood(new.read(at, seed=1), r[:, None]))

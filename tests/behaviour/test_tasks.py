@@ -182,7 +182,7 @@ def test_every_cue_is_an_encoding_of_distance_with_its_own_jnd(cue: str) -> None
         jnd = observer.noise.sd(observer.signals(contact)[0])[:, 0]
     # At the receptors' own Weber fraction, 0.1, the noise is their own.
     first = observer.noise.weber_fractions(len(observer.cue.signal_names))
-    k = first[first > 0][0] if encoding.has_weber_fraction else 0.123
+    k = first[first > 0][0] if first.any() else 0.123
     found = np.hypot(k * encoding.sd_per_weber_fraction(R), encoding.floor_sd(R))
     np.testing.assert_allclose(found, jnd, rtol=1e-6)
 

@@ -127,11 +127,6 @@ class CueEncoding(Fields):
             return np.log(np.abs(signals[..., 0]))
         return np.asarray(noise.mean(signals)[..., 0], dtype=float)
 
-    @property
-    def has_weber_fraction(self) -> bool:
-        """Whether any noise goes with a Weber fraction, which choices then inform."""
-        return bool(self._fractions.any())
-
     @cached_property
     def _fractions(self) -> Array:
         return self.observer.noise.weber_fractions(len(self.observer.cue.signal_names))
@@ -280,7 +275,7 @@ class PooledEncoding(Fields):
         hint = "write ww.behaviour.PooledEncoding.of_touches(observer, [0.1, 0.2]), say"
         given = tuple(checks.several("looks", self.looks, hint))
         for look in given:
-            checks.kind("a look", look, "a CueEncoding", "has_weber_fraction", hint)
+            checks.kind("a look", look, "a CueEncoding", "own_fraction", hint)
         if not given:
             raise ValueError(f"looks is empty; {hint}.")
         if len({look.unit for look in given}) > 1:

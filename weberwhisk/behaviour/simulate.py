@@ -370,14 +370,13 @@ def simulate_population(
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
     rng = checks.generator(seed)
-    subjects = checks.whole("subjects", subjects, "write 6, say")
     truth = draw_animals(
         subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
         lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
     sessions = checks.whole("sessions", sessions, "write 10, say")
     checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
-    wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
+    wander = ndtri(np.clip(rng.random((len(truth), sessions)), 1e-12, 1 - 1e-12))
     parts = []
     for i, row in enumerate(truth.to_dict("records")):
         animal = {str(name): value for name, value in row.items()}
