@@ -187,7 +187,7 @@ def test_the_slopes_that_a_cue_gives_are_its_own(make):
     cue = make()
     observer = ww.Observer(W, cue)
     x = np.full((1, len(cue.unknowns)), -0.2)
-    contact = observer.contact(x)[0]
+    contact = observer.space.constrain(x)[0]
     own = cue.jacobian(W, contact)
     assert_allclose(own, cues.Cue.jacobian(cue, W, contact), rtol=1e-5, atol=1e-7 * abs(own).max())
 

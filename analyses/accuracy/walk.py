@@ -46,7 +46,7 @@ def main() -> None:
         log, _ = observer.log_density_and_contact((place + 0.5) * level.step, reading)
         if depth == chosen[-1]:
             place, log = place[log > log.max() - DROP], log[log > log.max() - DROP]
-        contact, _ = observer.contact((place[:, None] + CORNERS) * level.step)
+        contact, _ = observer.space.constrain((place[:, None] + CORNERS) * level.step)
         cells = PolyCollection(contact * [1e3, 180 / np.pi], edgecolor="0.45", linewidth=0.3)
         cells.set(array=np.exp(log - log.max()), cmap="Blues", clim=(0, 1.2))
         ax.add_collection(cells)

@@ -132,7 +132,7 @@ def emcee_loop(observer: ww.Observer, rows: Array, steps: int, move: str, vector
         sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
         sampler.run_mcmc(x, steps)
         draws = sampler.get_chain(discard=steps // 5, flat=True)
-        out.append(observer.contact(draws)[0][:, 0].std())
+        out.append(observer.space.constrain(draws)[0][:, 0].std())
     return np.array(out)
 
 
@@ -162,7 +162,7 @@ def nuts(observer: ww.Observer, rows: Array, draws: int) -> Array:
         finally:
             np.random.set_state(state)  # noqa: NPY002
         draws_of = np.reshape(trace[0], (draws, start.size))  # a chain: draws by unknowns
-        out.append(observer.contact(draws_of)[0][:, 0].std())
+        out.append(observer.space.constrain(draws_of)[0][:, 0].std())
     return np.array(out)
 
 
@@ -189,7 +189,7 @@ def nested(observer: ww.Observer, rows: Array, live: int) -> Array:
         found = sampler.results
         weight = np.exp(found.logwt - found.logwt.max())
         weight /= weight.sum()
-        r = observer.contact(found.samples)[0][:, 0]
+        r = observer.space.constrain(found.samples)[0][:, 0]
         out.append(np.sqrt(weight @ (r - weight @ r) ** 2))
     return np.array(out)
 

@@ -74,7 +74,7 @@ def test_a_known_friction_out_of_an_unknown_one_is_the_observer_s_own() -> None:
 def test_the_atlas_makes_every_observer_whose_posteriors_it_judges(name: str) -> None:
     """One whose cue had been taken out was found after an hour, by the full form alone."""
     observer = posteriors.observer(name, 0.1)
-    contact = observer.contact(np.zeros((1, len(observer.unknowns))))[0]
+    contact = observer.space.constrain(np.zeros((1, len(observer.unknowns))))[0]
     assert observer.signals(contact)[1] == ww.Outcome.HELD
 
 

@@ -111,7 +111,7 @@ SCENES = [cues.Compliance(), cues.ForceMap(), cues.SpaceMap()]
 @pytest.mark.parametrize("cue", SCENES, ids=repr)
 def test_a_missing_reading_leaves_the_others_as_they_are(cue, method):
     observer = ww.Observer(W, cue)
-    contact = observer.contact(observer.space.spread(np.array([0.3, 0.4, 0.5])))[0][:3]
+    contact = observer.space.constrain(observer.space.spread(np.array([0.3, 0.4, 0.5])))[0][:3]
     readings = observer.read(contact, seed=1)
     broken = np.insert(readings, [0, 2], np.nan, axis=0)
     broken[0, 0] = np.inf

@@ -159,7 +159,7 @@ def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
             ww.Observer(W, soft, GeneralisedWeber(k, floor=[1e-9, 1e-7])),
             ww.Observer(W, soft, Weber(k)),
         ][rng.integers(5)]
-        contact, _ = observer.contact(rng.standard_normal((1, 3)) * [1.2, 1.2, 1.0])
+        contact, _ = observer.space.constrain(rng.standard_normal((1, 3)) * [1.2, 1.2, 1.0])
         signals, outcome = observer.signals(contact)
         if outcome[0] != ww.Outcome.HELD:
             continue
@@ -176,7 +176,7 @@ def assert_as_all_at_once(observer, reading, hint=""):
     Within the error promised, and what the grid knows. Where it knows too little nothing is said,
     and False returned.
     """
-    x = observer.space.unconstrain(observer.contact(find_mode(observer, reading)[0])[0])[0]
+    x = observer.space.unconstrain(observer.space.constrain(find_mode(observer, reading)[0])[0])[0]
     mean, sd, log_evidence, known = turned_sums(observer, reading[0], x)
     found = ww.posterior(observer, reading)
     if not known < 1e-3 or found.status[0] == ww.Status.IMPRECISE:

@@ -71,7 +71,7 @@ def test_the_floor_is_a_hundredth_of_the_median_signal():
     """And as much of a signal in another unit: of a whisker that is ten times as stiff."""
     observer = Observer(CONCAVE, ForceMap())
     floor = observer.noise.floors(2)[1]
-    contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, 40)))[0]
+    contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, 40)))[0]
     size = np.abs(observer.signals(contact)[0][:, 1])
     assert floor == pytest.approx(0.01 * np.nanmedian(size), rel=0.2)
     stiff = replace(CONCAVE, youngs_modulus=10 * CONCAVE.youngs_modulus)

@@ -18,7 +18,7 @@ from .._util.sampling import StackedSample, sample_stacked
 from .._util.values import Array, Flags, Index
 from ..mechanics.contact import Outcome
 from ..receptors import Seed
-from .coordinates import FARTHEST
+from .coordinates import FARTHEST, constrain_distance
 from .observer import Observer
 from .result import (
     Estimate,
@@ -81,7 +81,7 @@ def _exact(observer: Observer, reading: Array) -> Sums | None:
 
 def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
     """ln of the densities (B, n) that readings (B, R) have at places (n, U)."""
-    contact, log_prior = observer.contact(places)
+    contact, log_prior = observer.space.constrain(places)
     signals, outcome = observer.signals(contact)
     held = np.asarray(outcome == Outcome.HELD)
     signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
@@ -129,7 +129,7 @@ def score(observer: Any, reading: Array, x: Array) -> tuple[Array, Array, Array]
     dim = x.shape[1]
     h = 1e-4
     stencil = np.concatenate([np.zeros((1, dim)), h * np.eye(dim), -h * np.eye(dim)])
-    contact, log_prior = observer.contact(x[:, None] + stencil)
+    contact, log_prior = observer.space.constrain(x[:, None] + stencil)
     signals, outcome = observer.signals(contact)
     held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
     held &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
@@ -181,7 +181,7 @@ def laplace(
     values, vectors = np.linalg.eigh(_hessian(observer, reading, x))
     # Where minus the Hessian is not positive, of its absolute value.
     root = vectors / np.sqrt(np.maximum(np.abs(values), 1e-6))[:, None]
-    contact, _ = observer.contact(x)
+    contact, _ = observer.space.constrain(x)
     to_contact = contact_slope(observer.space, x) @ root
     covariance = to_contact @ np.swapaxes(to_contact, 1, 2)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -205,13 +205,13 @@ def laplace(
         spread = np.linalg.norm(root, axis=2)
         out = []
         for value in ndtri(p):  # quantiles are carried along each coordinate
-            out.append(observer.contact(x + value * spread)[0][:, unknown])
+            out.append(observer.space.constrain(x + value * spread)[0][:, unknown])
         return np.stack(out, axis=-1)
 
     def draws_of(count: int, seed: Seed) -> Array:
         z = np.random.default_rng(seed).standard_normal((len(reading), 4 * count, root.shape[1]))
         drawn = x[:, None] + z @ np.swapaxes(root, 1, 2)
-        return observer.contact(drawn)[0].reshape(len(reading), 4, count, -1)
+        return observer.space.constrain(drawn)[0].reshape(len(reading), 4, count, -1)
 
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
 
@@ -225,7 +225,7 @@ def _beside_the_density(
     alone it would miss what bends across them. A Gaussian leaves next to nothing at the grid's
     edge; of what there is as much again is taken to lie beyond, at the least as far off.
     """
-    at_mode = observer.contact(mode)[0]
+    at_mode = observer.space.constrain(mode)[0]
     dim = mode.shape[1]
     reach = 4.5
     t = np.linspace(-reach, reach, {2: 13, 3: 9}.get(dim, 7))
@@ -283,8 +283,8 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     for at, start, step, log in found.marginals():
         # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.
         cells = start[:, None] + step * np.arange(log.shape[1])
-        x, density = interpolate(log - observer.space.constrain(cells[..., None])[1], 8)
-        log_slope = observer.space.constrain((start[:, None] + step * x)[..., None])[1]
+        x, density = interpolate(log - constrain_distance(cells)[1], 8)
+        log_slope = constrain_distance(start[:, None] + step * x)[1]
         last = log.shape[1] - 1 - np.isfinite(log[:, ::-1]).argmax(axis=1)
         for row, own, slope, end in zip(at, density, log_slope, last, strict=True):
             weight = np.exp(own + slope - (own + slope).max())
@@ -335,7 +335,7 @@ def sample(
             density,
             start,
             seed=rng,
-            functions=lambda x: observer.contact(x)[0],
+            functions=lambda x: observer.space.constrain(x)[0],
             precision=tolerance or PRECISION[several],
             max_steps=MOST_STEPS[several],
             indexed=True,
@@ -345,7 +345,7 @@ def sample(
         if progress:
             progress(first + len(rows), len(reading))
     run = StackedSample(*map(np.concatenate, zip(*runs, strict=True)))
-    mode = observer.contact(np.concatenate(modes))[0]
+    mode = observer.space.constrain(np.concatenate(modes))[0]
     columns = np.stack([run.mean, run.sd, run.mcse_mean, run.mcse_sd])
     estimates = [Estimate(*columns[..., i]) for i in range(mode.shape[1])]
     # Of one unknown the prior is as good as any reading; of several one may be known by a ridge.

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._util.values import Array, Index
 from ..mechanics.contact import Outcome
-from .observer import Evaluated, Observer
+from .observer import Observer
 
-__all__ = ["Conditional"]
+__all__ = ["Conditional", "Evaluated"]
+
+
+class Evaluated(NamedTuple):
+    """Contacts (N, U) at coordinates, ln of the prior density there (N,), signals (N, S), scores.
+
+    Where a contact is not held the density is −inf and signals are 0. Scores (N, P) say how far up
+    the priors that were given of distance and angle these are, as standard normal scores.
+    """
+
+    contact: Array
+    log_prior: Array
+    signals: Array
+    scores: Array
 
 
 class Conditional:
@@ -50,13 +63,24 @@ class Conditional:
         return space if self._reaches is None else space.reaching(np.array(self._reaches)[which])
 
     def evaluate(self, x: Array, which: Index) -> Evaluated:
-        """Contacts, prior and signals at coordinates (N, U) and numbers (N,)."""
-        return self.observer.evaluate(x, self.given(which), self._space(which))
+        """At coordinates (N, U) and numbers (N,), without density where contact is lost."""
+        observer = self.observer
+        with np.errstate(all="ignore"):
+            contact, log_prior = self._space(which).constrain(x, self.given(which))
+            signals, outcome = observer.cue.signals(
+                observer.whisker, contact, model=observer.solver
+            )
+        held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+        held &= np.isfinite(signals).all(axis=-1)
+        with np.errstate(all="ignore"):
+            scores = np.where(held[:, None], observer.space.given_scores(contact), 0.0)
+        signals = np.where(held[:, None], signals, 0.0)
+        return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
     def contact_at(self, x: Array, which: Index) -> Array:
         """Contacts (N, U) at coordinates (N, U) and numbers (N,), with all that is given."""
         with np.errstate(all="ignore"):
-            return self.observer.contact(x, self.given(which), self._space(which))[0]
+            return self._space(which).constrain(x, self.given(which))[0]
 
     def distance(self, x: Array, which: Index) -> Array:
         """The radial distances (n, L), m, at first coordinates and numbers (n,)."""

@@ -76,9 +76,11 @@ class ContactCoordinates:
         return low, high
 
     def constrain(self, x: ArrayLike, further: Sequence[Any] | None = None) -> tuple[Array, Array]:
-        """The contact (..., U) at x (..., U), and ln|d contact/dx| of the bounded unknowns (...).
+        """The contact (..., U) at x (..., U), and ln of its prior density in x (...).
 
-        Of the first unknowns alone where x has fewer, unless `further` has the others' values.
+        Of the first unknowns alone where x has fewer; where `further` has the values of the others,
+        the density is that of the first unknowns given them. Flat priors count as the density 1 of
+        the contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
         low, high = self.reach
@@ -87,12 +89,12 @@ class ContactCoordinates:
             out[..., i] = value
         for i in range(self.bounded, x.shape[-1]):
             out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
-        fraction, log_jacobian = constrain_distance(x[..., 0])
+        fraction, log_prior = constrain_distance(x[..., 0])
         # Rounding must not put a contact on an edge, where there is none.
         out[..., 0] = np.clip(
             low + (high - low) * fraction, np.nextafter(low, high), np.nextafter(high, low)
         )
-        log_jacobian += np.log(high - low)
+        log_prior += np.log(high - low)
         if self.bounded > 1:
             if further and x.shape[-1] == self.bounded:
                 # Cells of a tree stand in columns of one distance, and ranges in space are dear.
@@ -109,8 +111,13 @@ class ContactCoordinates:
                 if "deflection_angle" in self.prior:  # whose density may be infinite at an end
                     ends = np.nextafter(low_angle, np.pi), np.nextafter(low_angle + width, 0.0)
                     out[..., 1] = np.clip(out[..., 1], *ends)
-                log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
-        return out, log_jacobian
+                log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
+        for i, name in enumerate(self.cue.unknowns[: x.shape[-1]]):
+            if i >= self.bounded:
+                log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
+            elif name in self.prior:
+                log_prior = log_prior + self.prior[name].logpdf(out[..., i])
+        return out, log_prior
 
     def reaching(self, farthest: Array) -> ContactCoordinates:
         """The same with distances that end at another reach (...), m, of each contact its own."""

@@ -448,7 +448,7 @@ class LayeredSums:
                 log_of.append(log_proposed + np.log(weight[i]))
             some, node = np.concatenate(x), np.concatenate(z)
             further = self.layers.values(node.T)
-            contact, log_density = self.observer.contact(some, further=further)
+            contact, log_density = self.observer.space.constrain(some, further=further)
             log_density += self.layers.log_prior(node.T, further)
             log_density += self.observer.log_likelihood(self.readings[row], contact)
             chosen = resampled(log_density - np.concatenate(log_of), count, rng)

@@ -233,13 +233,13 @@ def quadrature(
         some = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
         if some.size:
             mode, _ = find_mode(observer, reading[some], observer.space.unconstrain(best[some]))
-            some = some[is_unidentified(observer, observer.contact(mode)[0])]
+            some = some[is_unidentified(observer, observer.space.constrain(mode)[0])]
         status[some] = Status.UNIDENTIFIED
     outside = is_improbable(observer, reading, best)
     vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
     if vague.size:  # whose best cell may be the wrong one
         mode, _ = find_mode(observer, reading[vague])
-        outside[vague] = is_improbable(observer, reading[vague], observer.contact(mode)[0])
+        outside[vague] = is_improbable(observer, reading[vague], observer.space.constrain(mode)[0])
     status[outside] = Status.IMPROBABLE_READING
 
     def quantile_of(p: Array, unknown: int) -> Array:

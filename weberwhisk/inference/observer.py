@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -30,20 +30,7 @@ from .coordinates import (
 )
 from .floors import check_noise, default_noise
 
-__all__ = ["Evaluated", "Observer"]
-
-
-class Evaluated(NamedTuple):
-    """Contacts (N, U) at coordinates, ln of the prior density there (N,), signals (N, S), scores.
-
-    Where a contact is not held the density is −inf and signals are 0. Scores (N, P) say how far up
-    the priors that were given of distance and angle these are, as standard normal scores.
-    """
-
-    contact: Array
-    log_prior: Array
-    signals: Array
-    scores: Array
+__all__ = ["Observer"]
 
 
 class _Filled(NamedTuple):
@@ -240,54 +227,11 @@ class Observer(Fields):
         """
         return model_choice.note(self)
 
-    # -- coordinates ---------------------------------------------------------------------------
-
-    def contact(
-        self,
-        x: ArrayLike,
-        further: Sequence[Any] | None = None,
-        space: ContactCoordinates | None = None,
-    ) -> tuple[Array, Array]:
-        """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
-
-        Of the first unknowns alone where x has fewer; where `further` has the values of the others,
-        the density is that of the first unknowns given them. Flat priors count as the density 1 of
-        the contact, so that theirs is ln |d contact/dx|.
-        """
-        x = np.asarray(x, dtype=float)
-        out, log_prior = (space or self.space).constrain(x, further)
-        for i, name in enumerate(self.unknowns[: x.shape[-1]]):
-            if i >= self.bounded:
-                log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
-            elif name in self.prior:
-                log_prior = log_prior + self.prior[name].logpdf(out[..., i])
-        return out, log_prior
-
     @property
     def is_smooth(self) -> bool:
         """Whether the likelihood is a smooth function of the contact, without kinks."""
         noises = self.noise.components(len(self.cue.signal_names))
         return self.cue.is_smooth and all(c.noise.is_smooth for c in noises)
-
-    def evaluate(
-        self,
-        x: Array,
-        further: Sequence[Any] | None = None,
-        space: ContactCoordinates | None = None,
-    ) -> Evaluated:
-        """Contacts, prior, signals and scores at coordinates (N, U), without density where lost.
-
-        Of the first unknowns alone where `further` has the values of the others.
-        """
-        with np.errstate(all="ignore"):
-            contact, log_prior = self.contact(x, further, space)
-            signals, outcome = self.cue.signals(self.whisker, contact, model=self.solver)
-        held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
-        held &= np.isfinite(signals).all(axis=-1)
-        with np.errstate(all="ignore"):
-            scores = np.where(held[:, None], self.space.given_scores(contact), 0.0)
-        signals = np.where(held[:, None], signals, 0.0)
-        return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
     @property
     def inner(self) -> int:
@@ -369,7 +313,7 @@ class Observer(Fields):
 
     def log_density_and_contact(self, x: ArrayLike, reading: ArrayLike) -> tuple[Array, Array]:
         """ln of the posterior density in the coordinates x (...), and the contact (..., U)."""
-        contact, log_prior = self.contact(x)
+        contact, log_prior = self.space.constrain(x)
         return self.log_likelihood(reading, contact) + log_prior, contact
 
     def information(self, contact: ArrayLike) -> Array:
@@ -408,7 +352,7 @@ class Observer(Fields):
     @cached_property
     def usual_reading(self) -> Array:
         """Magnitudes (R,) that readings of three quarters of the whisker's contacts stay below."""
-        contact = self.contact(self.space.spread(np.linspace(0.1, 0.9, 9)))[0]
+        contact = self.space.constrain(self.space.spread(np.linspace(0.1, 0.9, 9)))[0]
         signals, outcome = self.signals(contact)
         size = np.abs(self.noise.mean(signals[outcome == Outcome.HELD]))
         return np.quantile(size, 0.75, axis=0) if size.size else np.full(size.shape[1:], np.inf)

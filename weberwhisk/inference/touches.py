@@ -183,7 +183,7 @@ def _best_contacts(observer: Observer, y: Array, found: OneDistance) -> Array:
             second = middle[:, None] + half * np.linspace(-1, 1, size)
             x = np.stack([np.full(second.shape, first), second], axis=-1)[..., : observer.bounded]
             with np.errstate(all="ignore"):
-                contact, log = observer.contact(x, further=values)
+                contact, log = observer.space.constrain(x, further=values)
                 log = log + observer.log_likelihood(y[:, None], contact)
             at = np.nan_to_num(log, nan=-np.inf).argmax(axis=1)
             row = np.arange(count)

@@ -22,10 +22,10 @@ import numpy as np
 
 from .._util.values import Array, Index
 from ..receptors import ReceptorNoise
-from .conditional import Conditional
+from .conditional import Conditional, Evaluated
 from .coordinates import within_half_turn
 from .descent import PAIRS, Descent
-from .observer import Evaluated, Observer
+from .observer import Observer
 from .weighted import Sums
 
 #: Error of means and sds, in sds, above which posteriors are `IMPRECISE`.

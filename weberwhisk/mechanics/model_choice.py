@@ -377,7 +377,9 @@ def of_shape_at_rest(observer: Any) -> float:
     model = "rod" if "azimuth" in cue.unknowns else "profile"
     off = 0.0
     for end, each in ((0.15, 4), (0.02, 36 if observer.bounded == 1 else 6)):
-        contact = observer.contact(observer.space.spread(np.linspace(end, 1 - end, each)))[0]
+        contact = observer.space.constrain(observer.space.spread(np.linspace(end, 1 - end, each)))[
+            0
+        ]
         exact = cue.signals(real, contact, model=model)
         off = between(observer, contact, cue.signals(whisker, contact), exact)
         if off >= 1:
@@ -392,7 +394,7 @@ def of_model(observer: Any, model: str) -> float:
     that is stable: it rules that distance out.
     """
     each = 144 if observer.bounded == 1 else 12
-    contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, each)))[0]
+    contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, each)))[0]
     exact = observer.cue.signals(observer.whisker, contact)
     rough = observer.cue.signals(observer.whisker, contact, model=model)
     if ((exact[1] == Outcome.HELD) & (rough[1] != Outcome.HELD)).any():

@@ -308,7 +308,7 @@ def sign_note(si: dict[str, Array], shapes: Sequence[Any], notes: list[str]) -> 
         rows = rows[:: 1 + len(rows) // 60]
         y = np.stack([si[n][rows] for n in names], axis=-1)
         observer = Observer(whisker, ForceMap())
-        contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
+        contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
         signals, outcome = MeasuredAngle(ForceMap(SIGNALS)).signals(observer.whisker, contact)
         known = dict(zip((*SIGNALS, "deflection_angle"), signals[outcome == Outcome.HELD].T,
                          strict=True))  # fmt: skip

@@ -97,7 +97,7 @@ class Lattice:
         shape = (LATTICE,) * observer.bounded + (5,) * (at.shape[1] - observer.bounded)
         axes = at.reshape(*shape, -1)
         with np.errstate(all="ignore"):
-            contact, log = observer.contact(at)
+            contact, log = observer.space.constrain(at)
             for i in range(observer.bounded):
                 log = log + np.log(np.abs(np.gradient(axes[..., i], axis=i))).ravel()
             signals, outcome = observer.signals(contact)
