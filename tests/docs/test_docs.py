@@ -43,3 +43,18 @@ def test_commands_have_the_options_that_pages_give_them(page: str, line: str) ->
     command.make_context(
         words[0], [a_file if w.endswith((".csv", ".nwb", ".json")) else w for w in words[1:]]
     )
+
+
+def test_files_and_functions_that_the_maintainers_page_names_exist() -> None:
+    """Two had moved, which nobody saw."""
+    text = (ROOT / "docs/maintainers.md").read_text("utf-8")
+    files = ["/" + path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py")]
+    code = "\n".join(p.read_text("utf-8") for p in (ROOT / "weberwhisk").rglob("*.py"))
+    named = set(re.findall(r"`([\w./]+)`", text))
+    of_files = [name for name in named if name.endswith(".py")]
+    of_code = [name for name in named if "." in name and "/" not in name and name not in of_files]
+    missing = [name for name in of_files if not any(f.endswith("/" + name) for f in files)]
+    missing += [name for name in of_code if not re.search(rf"\b{name.split('.')[-1]}\b", code)]
+    assert len(of_files) > 40
+    assert len(of_code) > 8
+    assert not missing
