@@ -182,7 +182,9 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             label=fate.words,
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
-    ax.set_title(title.replace(", ", ",\n", 1).replace("JND by", "JND by\n"), fontsize=7)
+    for words in (", ", "JND by ", "whiskers in "):
+        title = title.replace(words, words.rstrip() + "\n", 1)
+    ax.set_title(title, fontsize=7)
     if any(word in title for word in ("unknown", "emcee", "whisker", "uncertain")):
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("outside"):
