@@ -1,4 +1,4 @@
-"""What hunts of the atlas have found wrong, each with its reason."""
+"""What searches of the atlas have found wrong, each with its reason."""
 
 from __future__ import annotations
 

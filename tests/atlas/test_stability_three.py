@@ -58,10 +58,10 @@ def test_the_sum_over_three_unknowns_is_of_the_package_s_model(
 
 
 def test_a_known_friction_out_of_an_unknown_one_is_the_observer_s_own() -> None:
-    """Rows of evidence, at every distance, beside those of an observer told the friction."""
+    """Rows of evidence, at every distance, beside those of an observer that knows the friction."""
     unknown = whiskers.rubbing({"curved": 1, "fraction": 1})
-    told = whiskers.cues.Friction(whiskers.cues.ForceMap(), 0.2)
-    known = ww.Observer(unknown.whisker, told, unknown.noise)
+    rubbing = whiskers.cues.Friction(whiskers.cues.ForceMap(), 0.2)
+    known = ww.Observer(unknown.whisker, rubbing, unknown.noise)
     reading, _ = known.signals(np.array([30e-3, 0.3]))
     r = np.linspace(25e-3, 35e-3, 9)
     of, one = (posteriors._rows(o, reading, r, 96)[0] for o in (whiskers._at(unknown, 0.2), known))

@@ -248,13 +248,13 @@ def test_thresholds_out_of_reach_in_many_draws_are_infinite_not_nan() -> None:
     assert 0 < row["lower"] < row["comparison"]
 
 
-def test_a_remedy_keeps_what_a_fit_was_told() -> None:
+def test_a_remedy_keeps_the_encoding_and_priors_of_the_fit() -> None:
     """The line that was given left out an encoding and priors of one's own."""
     trials = simulate_trials(standards=[1.0, 2.0], bias=[1.2, -1.2], trials_per_level=50, seed=16)
     plain = fit_weber(trials, priors={})
-    told = fit_weber(trials, priors={"lapse_low": 0.02}, encoding=LogEncoding())
+    own = fit_weber(trials, priors={"lapse_low": 0.02}, encoding=LogEncoding())
     assert "of this fit" not in plain.report()
-    assert ", and the encoding and priors of this fit" in told.report()
+    assert ", and the encoding and priors of this fit" in own.report()
 
 
 def test_misfit_is_found_and_the_remedy_named() -> None:

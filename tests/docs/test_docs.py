@@ -48,7 +48,8 @@ def test_commands_have_the_options_that_pages_give_them(page: str, line: str) ->
 def test_files_and_functions_that_the_maintainers_page_names_exist() -> None:
     """Two had moved, which nobody saw."""
     text = (ROOT / "docs/maintainers.md").read_text("utf-8")
-    files = ["/" + path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py")]
+    ours = [ROOT / name for name in ("weberwhisk", "tests", "docs", "analyses")]
+    files = ["/" + path.relative_to(ROOT).as_posix() for f in ours for path in f.rglob("*.py")]
     code = "\n".join(p.read_text("utf-8") for p in (ROOT / "weberwhisk").rglob("*.py"))
     named = set(re.findall(r"`([\w./]+)`", text))
     of_files = [name for name in named if name.endswith(".py")]

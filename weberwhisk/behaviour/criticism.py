@@ -390,8 +390,7 @@ def _kept(fit: Estimates) -> str:
     model, trials = fit.model, fit.trials
     usual = encoding_for(trials.scale, trials.log_unit, fit.noise)
     effects = {effect.name: effect.prior for effect in model.effects}
-    unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed = priors_for(None, model.cells, unit_known, model.task, effects)
+    believed = priors_for(None, model.cells, trials.unit_known, model.task, effects)
     other = [believed.words(n) != model.priors.words(n) for n in (*PARAMETERS, *effects)]
-    own = ["encoding"] * (type(fit.encoding) is not type(usual)) + ["priors"] * any(other)
+    own = ["encoding"] * (fit.encoding != usual) + ["priors"] * any(other)
     return f", and the {' and '.join(own)} of this fit" if own else ""

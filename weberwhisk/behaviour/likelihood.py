@@ -410,8 +410,7 @@ def build_model(
     elif chosen == "per standard":
         levels, group = np.unique(cells.standard, return_inverse=True)
         names = names_by_standard(label, levels)
-    unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed = priors_for(priors, cells, unit_known, task, by_name, [both])
+    believed = priors_for(priors, cells, trials.unit_known, task, by_name, [both])
     model = WeberModel(task, both, cells, believed, group, names, bound, columns)
     return model, encoded, chosen
 

@@ -279,12 +279,11 @@ def fit_population(
             f"{trials.source}: there is no column 'subject' that names the subjects; map one with "
             "columns={'subject': '<its name>'} when the table is read."
         )
-    unit_known = trials.scale == "linear" or trials.log_unit is not None
     parts = {subject: trials.select(subject=subject) for subject in trials.subjects}
     encoded = encoding_of(trials, encoding, observer, noise)
     # Of use to "levels" alone.
     shown = (pairs_shown(part.cells(), encoded, noise) for part in parts.values())
-    believed = priors_for(priors, trials.cells(), unit_known, trials.task, shown=shown)
+    believed = priors_for(priors, trials.cells(), trials.unit_known, trials.task, shown=shown)
     if believed.is_fixed("weber_fraction"):
         raise ValueError(
             "the Weber fraction of every animal was fixed, and a population learns them; leave it "

@@ -136,6 +136,11 @@ class Trials(Line):
         )
 
     @property
+    def unit_known(self) -> bool:
+        """Whether differences of stimuli have a unit that a Weber fraction can be in."""
+        return self.scale == "linear" or self.log_unit is not None
+
+    @property
     def n_trials(self) -> int:
         """Trials with an answer."""
         return int(self.frame.loc[self.frame["count"].notna(), "n"].sum())

@@ -377,9 +377,8 @@ def of_shape_at_rest(observer: Any) -> float:
     model = "rod" if "azimuth" in cue.unknowns else "profile"
     off = 0.0
     for end, each in ((0.15, 4), (0.02, 36 if observer.bounded == 1 else 6)):
-        contact = observer.space.constrain(observer.space.spread(np.linspace(end, 1 - end, each)))[
-            0
-        ]
+        places = observer.space.spread(np.linspace(end, 1 - end, each))
+        contact, _ = observer.space.constrain(places)
         exact = cue.signals(real, contact, model=model)
         off = between(observer, contact, cue.signals(whisker, contact), exact)
         if off >= 1:
