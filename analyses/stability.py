@@ -2,15 +2,15 @@
 
     python analyses/stability.py [--short] [--seed N] [--only DOMAIN] [folder]
 
-Inside the package's domain (`weberwhisk.domain`) a search hunts for answers that are wrong in
-silence (`hunting.py`); outside, for answers without the flag. Each is judged by a reference that
-shares nothing with what is judged: SciPy's DOP853 in raw SI for models and JNDs (`reference_beam`,
-`reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
-each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
-all cases, which replay what is found). With `--only` some domains are hunted and drawn, and the
-rest of stability is the kept table's. Cases are kept in `parts` as each domain is done, and taken
-from there by the next run into the same folder: remove it where the package has changed. Two runs,
-each `--only` some, fill two cores, and a third puts all together.
+Inside the package's domain (`weberwhisk.domain`) a search (`fault_search.py`) looks for answers
+that are wrong and not flagged; outside, for answers without the flag. Each is judged by a reference
+that shares nothing with what is judged: SciPy's DOP853 in raw SI for models and JNDs
+(`reference_beam`, `reference_rod`), sums over plain grids for posteriors and fits. Writes stability
+(CSV: a row for each domain, with what became of its cases; PNG, SVG: maps of all cases) and
+stability_cases (CSV: all cases, which replay what is found). With `--only` some domains are
+searched and drawn, and the rest of stability is the kept table's. Cases are kept in `parts` as each
+domain is done, and taken from there by the next run into the same folder: remove it where the
+package has changed. Two runs, each `--only` some, fill two cores, and a third puts all together.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ import stability_space
 import stability_walkers
 import stability_whiskers
 from command import options
-from hunting import Domain, Fate, hunt, silent
+from fault_search import Domain, Fate, search, silent
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -101,10 +101,10 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
             two = name in TWO
             effort = (2 if two else 6) if method != "emcee" else (1 if two else 2)
             panel = f"{method}, {'several unknowns' if two else 'one unknown'}"
-            d = stability_posteriors.hunted(name, method)
+            d = stability_posteriors.searched(name, method)
             found.append((d, panel, "distance", "k", effort))
             if name in ODD and method != "laplace":
-                d = stability_posteriors.hunted(name, method, odd=True)
+                d = stability_posteriors.searched(name, method, odd=True)
                 found.append((d, panel, "distance", "k", 1))
     # Last, though a model: a domain's seed goes by its place, and kept ones stay what they were.
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
@@ -131,7 +131,7 @@ def run_all(
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the references, past the ends of what exists
-                found = hunt(d, size * effort, generations, seed + i)
+                found = search(d, size * effort, generations, seed + i)
             atomic_write(part, pickle.dumps(found))
         tables.append(found.assign(panel=panel, across=found[x], up=found[y]))
         print(f"{d.name}: {len(found)} cases, {len(silent(found))} wrong in silence", flush=True)

@@ -1,4 +1,4 @@
-"""The part of `stability.py` that hunts in JNDs and in fits of choices.
+"""The part of `stability.py` that searches JNDs and in fits of choices.
 
 JNDs by propagation are held against slopes of DOP853 trajectories. A fit of choices is held against
 the integral of its own model on an even grid, written anew with SciPy's distributions: the ends of
@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from reference_beam import Beams
 from scipy import stats
 from scipy.interpolate import CubicSpline

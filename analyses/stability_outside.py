@@ -7,7 +7,7 @@ number is judged, as none is promised.
 from __future__ import annotations
 
 import numpy as np
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, cues, domain, receptors

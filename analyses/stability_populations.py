@@ -1,4 +1,4 @@
-"""The part of `stability.py` that hunts in fits of populations.
+"""The part of `stability.py` that searches fits of populations.
 
 The reference draws populations from the priors, animals from each of them, and weighs them by their
 answers: no grid, no conditional modes, no tables. The likelihood is written anew. Judged are the
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from scipy import stats
 from scipy.special import logsumexp, ndtr, ndtri, xlogy
 

@@ -15,7 +15,7 @@ from zlib import crc32
 
 import numpy as np
 import stability_three
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from scipy.interpolate import CubicSpline
 from scipy.special import expit, logit
 
@@ -401,7 +401,7 @@ ODD = AXES | {
 }
 
 
-def hunted(name: str, method: str, *, odd: bool = False) -> Domain:
+def searched(name: str, method: str, *, odd: bool = False) -> Domain:
     """The domain of an observer and an engine."""
     return Domain(
         f"{method}, {name}{', odd readings' * odd}",

@@ -8,7 +8,7 @@ its own, and says whether there is an equilibrium as well as what is felt there.
 from __future__ import annotations
 
 import numpy as np
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from reference_beam import Beams
 
 import weberwhisk as ww

@@ -8,7 +8,7 @@ plane, by a share of the last angle that holds there.
 from __future__ import annotations
 
 import numpy as np
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from reference_beam import Beams
 from reference_rod import LOST, NEVER, REACHED, Rods
 from stability_rungs import (

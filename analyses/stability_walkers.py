@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 import stability_posteriors as posteriors
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 
 from weberwhisk.inference import approximate
 

@@ -24,7 +24,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from hunting import Axis, Domain, Fate, Judged
+from fault_search import Axis, Domain, Fate, Judged
 from scipy.special import expit, log_expit, logit, ndtr
 from stability_posteriors import Sums, distance_sums
 

@@ -48,12 +48,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture
-def hunt_seed(request: pytest.FixtureRequest) -> int:
-    """The seed of a hunt: WEBERWHISK_HUNT_SEED, else a new one with `pytest -m slow`.
+def search_seed(request: pytest.FixtureRequest) -> int:
+    """The seed of a fault search: WEBERWHISK_SEARCH_SEED, else a new one with `pytest -m slow`.
 
     Otherwise always the same: what a new seed finds does not keep finished work from landing.
     """
-    given = os.environ.get("WEBERWHISK_HUNT_SEED")
+    given = os.environ.get("WEBERWHISK_SEARCH_SEED")
     if given is not None:
         return int(given)
     fresh = "slow" in request.config.getoption("markexpr")

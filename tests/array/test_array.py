@@ -174,7 +174,7 @@ def test_place_is_that_of_brute_force(place: Any, angle_sd: float, k: float) -> 
 
 
 def test_the_error_holds_where_a_sweep_ends_in_the_posterior() -> None:
-    """A hunt's find: 0.8 % of the mass was missed with a claim of 0.1 %."""
+    """Found by a search: 0.8 % of the mass was missed with a claim of 0.1 %."""
     names = ["E5", "C5", "E6", "E1", "B4"]
     array = WhiskerArray("rat", "right", identities=names).protract(1.1536218934957845)
     readings: dict[str, Any] = dict.fromkeys(names)

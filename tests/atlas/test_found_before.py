@@ -18,7 +18,7 @@ from weberwhisk import Observer, Outcome, Status, Whisker, cues, receptors
 from weberwhisk.behaviour import Priors, fit_weber, read_trials
 from weberwhisk.mechanics import rod
 
-hunting = load("hunting")
+fault_search = load("fault_search")
 stability = load("stability")
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 DOMAINS = {d.name: d for d, *_ in stability.domains()}
@@ -199,7 +199,7 @@ def test_a_populations_weber_fraction_is_that_of_weighed_draws_whatever_its_laps
     )
     case = zip(populations.AXES, numbers, strict=True)
     judged = populations.judge({name: np.array([value]) for name, value in case})
-    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
+    assert judged.fate[0] in (fault_search.Fate.RIGHT, fault_search.Fate.WARNED)
     assert judged.seen["of_weber_fraction"][0] < 0.05
 
 
@@ -318,7 +318,7 @@ def test_a_ridge_that_grows_thinner_does_not_pass_between_nodes(
     """
     case = {"distance": distance, "push": push, "k": 0.003, "off_1": off[0], "off_2": off[1]}
     judged = DOMAINS[f"quadrature, {name}"].judge({k: np.array([v]) for k, v in case.items()})
-    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
+    assert judged.fate[0] in (fault_search.Fate.RIGHT, fault_search.Fate.WARNED)
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,8 @@ def test_the_sum_that_judges_two_unknowns_knows_which_rows_it_lost(
     domain = DOMAINS["quadrature, axial force dominates"]
     judged = domain.judge({name: np.array([value]) for name, value in case.items()})
     # Warned: one of its Weber fractions lies outside the domain.
-    assert judged.fate[0] in (hunting.Fate.UNJUDGED, hunting.Fate.RIGHT, hunting.Fate.WARNED)
+    fates = fault_search.Fate
+    assert judged.fate[0] in (fates.UNJUDGED, fates.RIGHT, fates.WARNED)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Nothing is wrong in silence: a short hunt of each domain, and of what is wrong on purpose."""
+"""Nothing is wrong in silence: a short search of each domain, and of what is wrong on purpose."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from analysis_scripts import load
 
 from weberwhisk import Whisker
 
-hunting = load("hunting")
+fault_search = load("fault_search")
 stability = load("stability")
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 DOMAINS = {d.name: d for d, *_ in stability.domains()}
 #: Cases of each kind and generations bred from the worst: half a second each on a quiet core. New
-#: ones in the slow form; `analyses/stability.py` hunts for hours.
+#: ones in the slow form; `analyses/stability.py` searches for hours.
 SIZES = {
     "closed form": (4, 0),
     "elastica": (4, 0),
@@ -46,9 +46,8 @@ SIZES = {
 }
 
 
-#: Hunts whose subject a cheaper one of the same engine hunts too, or tests of its own hold to brute
-#: force: out of the plane, `test_three_unknowns`, `test_fit`, `test_emcee_hard_cases`, and the
-#: fusions of `test_tiling`.
+#: Left to the slow form: a cheaper search covers the same engine, or other tests compare it with
+#: brute force (out of the plane, `test_three_unknowns`, `test_fit`, `test_emcee_hard_cases`).
 LONG = {
     "rod, in the plane", "fit of choices", "quadrature, tap and map fused",
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
@@ -61,31 +60,31 @@ LONG = {
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in LONG)) for n in SIZES]
 )
-def test_a_hunt_finds_nothing_wrong_in_silence(name: str, hunt_seed: int) -> None:
-    """The seed is new in the slow form; WEBERWHISK_HUNT_SEED replays one."""
-    for seed in range(hunt_seed, hunt_seed + 10):  # a few cases may all be beyond the reference
+def test_a_search_finds_nothing_wrong_in_silence(name: str, search_seed: int) -> None:
+    """The seed is new in the slow form; WEBERWHISK_SEARCH_SEED replays one."""
+    for seed in range(search_seed, search_seed + 10):  # a few cases may all be beyond the reference
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the references, past the ends of what exists
-            cases = hunting.hunt(DOMAINS[name], *SIZES[name], seed)
-        wrong = hunting.silent(cases)
+            cases = fault_search.search(DOMAINS[name], *SIZES[name], seed)
+        wrong = fault_search.silent(cases)
         assert wrong.empty, (
-            f"WEBERWHISK_HUNT_SEED={seed} replays these of {name}:\n{wrong.to_string()}"
+            f"WEBERWHISK_SEARCH_SEED={seed} replays these of {name}:\n{wrong.to_string()}"
         )
-        if (cases["fate"] != hunting.Fate.UNJUDGED).any():
+        if (cases["fate"] != fault_search.Fate.UNJUDGED).any():
             return
-    pytest.fail(f"Ten hunts from seed {hunt_seed} on had nothing that could be judged.")
+    pytest.fail(f"Ten searches from seed {search_seed} on had nothing that could be judged.")
 
 
 @pytest.mark.slow
-def test_a_long_hunt_of_fusions_finds_nothing_wrong_in_silence(hunt_seed: int) -> None:
+def test_a_long_search_of_fusions_finds_nothing_wrong_in_silence(search_seed: int) -> None:
     """150 fusions, which missed modes in silence once: some ten minutes of a core."""
-    cases = hunting.hunt(DOMAINS["fusions of any whisker"], 30, 3, hunt_seed)
-    wrong = hunting.silent(cases)
-    assert wrong.empty, f"WEBERWHISK_HUNT_SEED={hunt_seed} replays these:\n{wrong.to_string()}"
-    assert (cases["fate"] == hunting.Fate.RIGHT).mean() > 0.3
+    cases = fault_search.search(DOMAINS["fusions of any whisker"], 30, 3, search_seed)
+    wrong = fault_search.silent(cases)
+    assert wrong.empty, f"WEBERWHISK_SEARCH_SEED={search_seed} replays these:\n{wrong.to_string()}"
+    assert (cases["fate"] == fault_search.Fate.RIGHT).mean() > 0.3
 
 
-def test_the_hunt_can_find() -> None:
+def test_the_search_can_find() -> None:
     """A wrong answer is found: signals of a whisker taken for 1 % stiffer."""
     rungs = stability.stability_rungs
     press = rungs._press
@@ -100,14 +99,14 @@ def test_the_hunt_can_find() -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            cases = hunting.hunt(DOMAINS["elastica"], 8, 0, 1)
+            cases = fault_search.search(DOMAINS["elastica"], 8, 0, 1)
     finally:
         rungs._press = press
-    assert (cases["fate"] == hunting.Fate.SILENT).sum() >= 4
-    assert (cases["fate"] == hunting.Fate.RIGHT).sum() == 0
+    assert (cases["fate"] == fault_search.Fate.SILENT).sum() >= 4
+    assert (cases["fate"] == fault_search.Fate.RIGHT).sum() == 0
 
 
-def test_the_hunt_can_find_out_of_the_plane() -> None:
+def test_the_search_can_find_out_of_the_plane() -> None:
     """Whiskers that twist by 4 % less than the referee's, which are right where nothing twists."""
     space = load("stability_space")
     press = space.rod.press
@@ -118,13 +117,13 @@ def test_the_hunt_can_find_out_of_the_plane() -> None:
         "roll": [0.3, 0.0, 2.5, 0.0],
     }  # fmt: skip
     given = {name: np.array(values) for name, values in case.items()}
-    assert set(space.judge(given).fate.tolist()) == {hunting.Fate.RIGHT}
+    assert set(space.judge(given).fate.tolist()) == {fault_search.Fate.RIGHT}
     space.rod.press = lambda *a, **k: press(*a, **k, poisson_ratio=0.32)
     try:
         fate = space.judge(given).fate
     finally:
         space.rod.press = press
-    assert fate.tolist() == [hunting.Fate.SILENT] * 3 + [hunting.Fate.RIGHT]
+    assert fate.tolist() == [fault_search.Fate.SILENT] * 3 + [fault_search.Fate.RIGHT]
 
 
 def test_the_two_referees_agree_in_the_plane() -> None:
@@ -152,7 +151,7 @@ def test_the_two_referees_agree_in_the_plane() -> None:
 def test_the_maps_are_drawn() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        cases = hunting.hunt(DOMAINS["quadrature, log-normal"], 6, 0, 1)
+        cases = fault_search.search(DOMAINS["quadrature, log-normal"], 6, 0, 1)
     cases = cases.assign(panel="quadrature, one unknown", across=cases["distance"], up=cases["k"])
     assert len(stability.draw(cases).axes) == 4
     counts = stability.summary(cases)

@@ -140,9 +140,9 @@ def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contac
     assert_as_all_at_once(observer, reading)
 
 
-def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
+def test_the_last_unknown_apart_is_as_all_at_once(search_seed):
     """Distances, angles and last unknowns, of cues and noise drawn at random."""
-    rng = np.random.default_rng(hunt_seed)
+    rng = np.random.default_rng(search_seed)
     judged = 0
     for _ in range(12):
         if judged:
@@ -166,7 +166,7 @@ def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
         reading = observer.noise.sample(signals, rng)
         if isinstance(observer.noise, LogNormal) and np.any(reading * signals <= 0):
             continue
-        judged += assert_as_all_at_once(observer, reading, f"seed {hunt_seed}")
+        judged += assert_as_all_at_once(observer, reading, f"seed {search_seed}")
     assert judged
 
 

@@ -111,7 +111,7 @@ def contacts(observer, count, seed):
     return np.stack([r, theta], axis=-1)
 
 
-def hunt(name, k, count, seed, fine=450):
+def errors_of_random_readings(name, k, count, seed, fine=450):
     observer = ww.Observer(WHISKERS[name], ForceMap(), Weber(k))
     contact = contacts(observer, count, seed)
     return worst(observer, observer.read(contact, seed=seed + 1), fine)
@@ -119,7 +119,7 @@ def hunt(name, k, count, seed, fine=450):
 
 @pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
 def test_no_number_is_off_by_more_than_promised(name, k):
-    off = hunt(name, k, 5, 7)
+    off = errors_of_random_readings(name, k, 5, 7)
     assert len(off) > 3
     assert off.max() < 1
 
@@ -128,7 +128,8 @@ def test_no_number_is_off_by_more_than_promised(name, k):
 @pytest.mark.parametrize("name", WHISKERS)
 @pytest.mark.parametrize("k", [0.02, 0.06, 0.15, 0.3, 0.5])
 def test_no_number_of_a_thousand_is_off_by_more_than_promised(name, k):
-    off = hunt(name, k, 50, 11, fine=700)  # with fewer nodes a cylinder's sums know too little
+    # With fewer nodes the reference sums of a cylinder are not accurate enough.
+    off = errors_of_random_readings(name, k, 50, 11, fine=700)
     assert len(off) > 35
     assert off.max() < 1
 

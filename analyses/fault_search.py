@@ -1,7 +1,7 @@
 """A search for answers that are wrong in silence: random, at the boundaries, and by evolution.
 
 Used by `stability.py`; has no command of its own. A *domain* names the numbers that a case has and
-judges many cases at once against a reference. `hunt` tries cases all over, cases close to the
+judges many cases at once against a reference. `search` tries cases all over, cases close to the
 special values of each axis (a tip, a fold, an end of the range), and then the descendants of the
 worst: children of two parents, moved by a step of any size (an evolution strategy whose fitness is
 how far the true error exceeds what the answer admits).
@@ -98,7 +98,7 @@ class Domain:
         return pd.DataFrame({**columns, "excess": judged.excess, "fate": judged.fate.astype(int)})
 
 
-def hunt(domain: Domain, size: int, generations: int, seed: int) -> pd.DataFrame:
+def search(domain: Domain, size: int, generations: int, seed: int) -> pd.DataFrame:
     """All cases tried, `size` of them at random, `size` near boundaries, `size` a generation."""
     rng = np.random.default_rng(seed)
     axes = domain.axes
