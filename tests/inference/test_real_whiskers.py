@@ -372,8 +372,13 @@ def test_what_real_observers_refuse():
     several = ww.mechanics.Profile.of(whisker(20, 0.0)).curved(ww.mechanics.Spiral([1.0, 2.0]))
     with pytest.raises(ValueError, match="one whisker, got 2 values of base"):  # it was taken
         Observer(several, ForceMap())
-    with pytest.raises(ValueError, match="up to 30°"):
-        Friction(ForceMap(), 0.6)
+    for angle in (0.6, 9, -9, 3.2, 22.0):  # degrees, whose tangents as radians may be small
+        with pytest.raises(ValueError, match=rf"up to 30°.*got .*np\.radians\({angle:g}\)"):
+            Friction(ForceMap(), angle)
+    assert Friction(ForceMap(), np.radians(9)).known == np.radians(9)
+    assert Friction(ForceMap(), -np.pi / 6, coefficient=np.tan(np.pi / 6)).known == -np.pi / 6
+    with pytest.raises(ValueError, match=r"at most 0\.577, .*got 0\.6"):
+        Friction(ForceMap(), coefficient=0.6)
     with pytest.raises(ValueError, match="without friction whose shape is known"):
         Friction(cues.Vibration())
     with pytest.raises(ValueError, match="unknown in"):

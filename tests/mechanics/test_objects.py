@@ -265,6 +265,7 @@ def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker,
     [
         (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending numbers"),
         (lambda: sweep(W, peg(0.03, 0.0), [0.1], [0.1, 0.2]), "friction_angle must be one number"),
+        (lambda: sweep(W, peg(0.03, 0.0), [0.1], 9), "friction_angle must .*got 9; give"),
         (lambda: sweep(W, 0.03, [0.0, 0.1]), "body must be an object, got"),
         (lambda: sweep(W, peg(0.03, 0.0)), "rotations or travels of the base, got none"),
         (lambda: sweep(W, wall(0.0, 0.01, 0.0), [0.0, 0.1]), "base of the whisker must be outside"),

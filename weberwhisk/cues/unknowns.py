@@ -23,6 +23,9 @@ from ..receptors import ReceptorNoise
 from .force_map import SIGNALS, SpaceMap
 from .protocol import Cue, Encoded, a_cue
 
+#: Largest friction angle, rad (30°, to within rounding of its tangent).
+_LARGEST_FRICTION = float(np.pi / 6 + 1e-12)
+
 __all__ = ["Friction", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness"]
 
 
@@ -166,14 +169,20 @@ class Friction(_Wrapped):
     def __init__(self, cue: Cue, angle: float | None = None, *, coefficient: float = 0.48) -> None:
         if angle is not None:
             angle = number("angle", angle, "give radians, such as -0.2, or None where unknown")
+            # Angles themselves: the tangent of 9, which is 9° passed as radians, is small.
+            if abs(angle) > _LARGEST_FRICTION:
+                raise ValueError(
+                    f"angle must be up to 30° either way, got {angle:g} rad; write radians, such "
+                    f"as np.radians({angle:g}) of degrees."
+                )
         largest = positive_number("coefficient", coefficient, "give µ, such as 0.48")
+        if np.arctan(largest) > _LARGEST_FRICTION:
+            raise ValueError(
+                f"coefficient must be at most 0.577, of a friction angle up to 30°, got "
+                f"{largest:g}; write 0.48, say."
+            )
         self._wrap(cue, angle=angle, coefficient=largest)
         self._refuse_straight()
-        if not max(abs(np.tan(angle or 0.0)), largest) <= np.tan(np.pi / 6) + 1e-12:
-            raise ValueError(
-                "Observers take friction angles up to 30° either way, got "
-                f"angle {angle} rad and coefficient {largest:g}; write smaller ones."
-            )
 
     @property
     def known(self) -> float | None:

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from .._util.checks import finite, kind, number
 from .._util.values import Array, Fields, Flags, member
 from ..whisker import Whisker
-from .contact import NUMBERS, Bending, Outcome
+from .contact import NUMBERS, Bending, Outcome, friction
 from .profile import bend
 from .shape import Profile
 from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
@@ -130,7 +130,7 @@ def sweep(
     # In radians, or in lengths.
     size = float(profile.whisker.length) if moves else 1.0
     angles = angles / size
-    tilt = number("friction_angle", friction_angle, "give radians, 0 for no friction")
+    tilt = float(friction(number("friction_angle", friction_angle, "give radians, such as 0.2")))
     contact = TouchedBody(profile, body, tilt, moves)
     path = np.linspace(min(angles[0], 0.0), max(angles[-1], 0.0), 257) if moves else np.zeros(1)
     if np.any(body.depth(0.0, -size * path) >= 0):
