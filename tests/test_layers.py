@@ -14,10 +14,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_util.checks` and `_util.values`. A folder's modules share its
+# its own folder, `_util.checks`, `_util.refusals` and `_util.values`. A folder's modules share its
 # entry, unless they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
     "_util": (),
+    "_util.refusals": (),
     "_util.values": (),
     "_util.checks": (),
     "_util.output": (),
@@ -116,7 +117,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_util.checks", "_util.values"}
+    own = {place, "_util.checks", "_util.refusals", "_util.values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 

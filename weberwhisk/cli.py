@@ -20,7 +20,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .commands import choices, experiments, quickstart, raised_by_weberwhisk, whiskers
+from ._util.refusals import Refusal
+from .commands import choices, experiments, quickstart, whiskers
 
 __all__ = ["COMMANDS", "app", "main", "new_app", "run_app"]
 
@@ -79,9 +80,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str]) -> int:
         if context is not None and "?" not in message and ";" not in message:
             message += f"; `{context.command_path} --help` says what it takes."
         return _refuse(message)
-    except ValueError as error:
-        if not raised_by_weberwhisk(error):
-            raise
+    except Refusal as error:
         return _refuse(str(error))
     except RuntimeError as error:
         from ._util.campaign import CampaignError

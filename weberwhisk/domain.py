@@ -14,6 +14,8 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ._util.refusals import Refusal
+
 __all__ = [
     "CONTACTS", "FITTED_WEBER_FRACTIONS", "LENGTHS", "RADIUS_RATIOS", "TRIALS", "WEBER_FRACTIONS",
     "of_contact", "of_observer", "of_weber_fractions", "of_whisker", "refuse_length", "sentence",
@@ -37,17 +39,18 @@ def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
     """Refuse whiskers that can only be a slip of units: longer than 20 m, or wider than long."""
     longest = float(np.max(length))
     if longest > 100 * LENGTHS[1]:
-        raise ValueError(
-            f"A whisker of {longest:g} m is none: did you pass millimetres? "
-            f"Write {longest / 1e3:g} for {longest:g} mm."
+        raise Refusal(
+            f"A whisker of {longest:g} m is none: did you pass millimetres?",
+            remedy=f"write {longest / 1e3:g} for {longest:g} mm",
         )
     # A stub of the radius's own length is an exercise in scaling, a wider one is no beam.
     wide = np.asarray(base_radius) > np.asarray(length)
     if np.any(wide):
         at = np.broadcast_to(base_radius, wide.shape)[wide].flat[0]
-        raise ValueError(
-            f"The base must not be wider than the whisker is long, got base_radius {at:g} m: did "
-            "you pass micrometres or millimetres? Write 100e-6 for 100 µm."
+        raise Refusal(
+            "The base must not be wider than the whisker is long",
+            f"base_radius {at:g} m: did you pass micrometres or millimetres?",
+            "write 100e-6 for 100 µm",
         )
 
 

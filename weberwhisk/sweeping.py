@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._util.checks import finite, kind, non_negative, positive, refuse_hinge
+from ._util.refusals import Refusal
 from ._util.values import Array, Codes, Fields, Flags, weighted_quantiles
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
@@ -166,10 +167,11 @@ def _of_moment(whisker: Any, cue: Cue | None, known: bool = False) -> Cue:
         or cue.unknowns[:2] != own
         or (known and len(cue.unknowns) > 2)
     ):
-        raise ValueError(
-            f"A sweep is followed by its moment{', all else being known' * known}, got {cue!r}; "
+        raise Refusal(
+            f"A sweep is followed by its moment{', all else being known' * known}",
+            f"{cue!r}",
             'write ww.cues.ForceMap("moment"), or '
-            'ww.cues.Friction(ww.cues.ForceMap("moment"), -0.3).'
+            'ww.cues.Friction(ww.cues.ForceMap("moment"), -0.3)',
         )
     return cue
 
@@ -286,7 +288,7 @@ class SweepFilter:
         self.slip_change = float(non_negative("slip_change", slip_change, hint))
         self.particles = int(particles)
         if self.particles < 100:
-            raise ValueError(f"A filter needs 100 particles or more, got {particles}; write 4000.")
+            raise Refusal("A filter needs 100 particles or more", particles, "write 4000")
         self._tip: Any = None
         if self.slip_rate > 0 and "radial_distance" not in self.observer.prior:
             self._tip = Walls.of(self.observer.forward)
@@ -430,9 +432,9 @@ def _checked(push_angle: ArrayLike, moment: ArrayLike) -> tuple[Array, Array]:
     push = np.atleast_1d(positive("push_angle", push_angle, "give radians since first contact"))
     moments = np.atleast_1d(finite("moment", moment, "give newton metres, up to the last contact"))
     if push.ndim != 1 or not push.size or np.any(np.diff(push) <= 0) or moments.shape != push.shape:
-        raise ValueError(
-            "A sweep is one row of ascending push angles and as many moments, got shapes "
-            f"{push.shape} and {moments.shape};"
-            " write np.radians(np.arange(1, 31)) for the first, say."
+        raise Refusal(
+            "A sweep is one row of ascending push angles and as many moments",
+            f"shapes {push.shape} and {moments.shape}",
+            "write np.radians(np.arange(1, 31)) for the first, say",
         )
     return push, moments

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import domain
 from ._util.checks import finite, one_of, positive, positive_number, shown
+from ._util.refusals import Refusal
 from ._util.values import Array, Value
 
 __all__ = [
@@ -128,22 +129,23 @@ class Whisker(Value):
             hinge_stiffness = positive_number("hinge_stiffness", hinge_stiffness, hint)
         tip, base = checked["tip_radius"], checked["base_radius"]
         if np.any(tip < 0):
-            raise ValueError(
-                f"tip_radius must not be negative, got {np.min(tip):g}; "
-                "give metres, 0 for a perfect cone."
+            raise Refusal(
+                "tip_radius must not be negative",
+                f"{np.min(tip):g}",
+                "give metres, 0 for a perfect cone",
             )
         try:
             np.broadcast_shapes(*(a.shape for a in checked.values()))
         except ValueError:
             shapes = ", ".join(f"{n} {a.shape}" for n, a in checked.items() if a.ndim)
-            raise ValueError(
-                f"The whisker's fields must broadcast together, got {shapes}; "
-                "give arrays of one shape."
+            raise Refusal(
+                "The whisker's fields must broadcast together", shapes, "give arrays of one shape"
             ) from None
         if np.any(tip > base):
-            raise ValueError(
-                f"The tip must not be wider than the base, got tip_radius {np.max(tip):g} m and "
-                f"base_radius {np.min(base):g} m; swap them or correct the unit."
+            raise Refusal(
+                "The tip must not be wider than the base",
+                f"tip_radius {np.max(tip):g} m and base_radius {np.min(base):g} m",
+                "swap them or correct the unit",
             )
         domain.refuse_length(checked["length"], base)
         domain.hint_at_curvature(checked["curvature"], checked["length"])
@@ -216,15 +218,18 @@ class Whisker(Value):
         if species == "mouse":
             one_of("whisker", identity, identities("mouse"))
             if seed is not None:
-                raise ValueError(
-                    f"The spread of mouse whiskers is not known, got seed {seed!r}; "
-                    "leave seed out for the median whisker."
+                raise Refusal(
+                    "The spread of mouse whiskers is not known",
+                    f"seed {seed!r}",
+                    "leave seed out for the median whisker",
                 )
         row = table[one_of("whisker", identity, table)]
         if not isinstance(curved, bool | np.bool_):
-            raise ValueError(
-                f"curved must be True or False, got {shown(curved)}; write curved=True for this "
-                "follicle's measured curvature, or give Whisker a curvature in 1/m."
+            raise Refusal(
+                "curved must be True or False",
+                shown(curved),
+                "write curved=True for this follicle's measured curvature, or give "
+                "Whisker a curvature in 1/m",
             )
         length, base = row["length_mm"], row["base_diameter_um"]
         if seed is not None:

@@ -26,6 +26,7 @@ import numpy as np
 
 from . import checks, output
 from .output import Log, shown
+from .refusals import Refusal
 from .values import pd
 
 if TYPE_CHECKING:
@@ -110,15 +111,15 @@ def run(
     name = _name(work)
     plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]
     if not plain:
-        raise ValueError("there are no chunks; give one dict or more.")
+        raise Refusal("there are no chunks", remedy="give one dict or more")
     root = _root(seed)
     checks.whole("workers", workers, "write 2")
     if workers > 1 and in_browser():
         warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
         workers = 1
     if scheduler is not None and workers != 1:
-        raise ValueError(
-            f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."
+        raise Refusal(
+            "a cluster has its own workers", f"workers={workers} with a scheduler", "leave one out"
         )
     versions = output.versions("numpy", "scipy")  # what the bits of a result depend on
     question = {
@@ -175,9 +176,10 @@ def _name(work: Work) -> str:
         pickle.dumps(work)  # as a worker gets it
         return f"{own.__module__}:{own.__qualname__}"
     except (pickle.PicklingError, AttributeError, TypeError):
-        raise ValueError(
-            f"work must be a function at the top level of a module, got {work!r}; move it "
-            "there, and what it needs to know into the chunks."
+        raise Refusal(
+            "work must be a function at the top level of a module",
+            f"{work!r}",
+            "move it there, and what it needs to know into the chunks",
         ) from None
 
 
@@ -188,9 +190,10 @@ def _plain(number: int, chunk: Chunk) -> Chunk:
             raise TypeError
         return dict(json.loads(json.dumps(chunk, allow_nan=False)))
     except (TypeError, ValueError):
-        raise ValueError(
-            f"chunk {number} must be a dict of plain finite numbers, text, lists and dicts, "
-            f"got {chunk!r}; write arrays as lists."
+        raise Refusal(
+            f"chunk {number} must be a dict of plain finite numbers, text, lists and dicts",
+            f"{chunk!r}",
+            "write arrays as lists",
         ) from None
 
 
@@ -199,9 +202,10 @@ def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
     if isinstance(seed, np.random.SeedSequence):
         return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(
-            f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is "
-            "resumed must find the same seeds again: write 1, say."
+        raise Refusal(
+            "seed must be a whole number or a SeedSequence",
+            f"{seed!r}",
+            "a sweep that is resumed must find the same seeds again: write 1, say",
         )
     return np.random.SeedSequence(int(seed))
 
@@ -248,9 +252,9 @@ def _by_number(lines: Sequence[str], count: int) -> dict[int, str]:
     """Lines of chunks by their number."""
     found = {int(json.loads(line)["chunk"]): line for line in lines}
     if found and max(found) >= count:
-        raise ValueError(
-            f"the file has a line for chunk {max(found)} of {count}: it was changed by hand; "
-            "name another file, or remove this one."
+        raise Refusal(
+            f"the file has a line for chunk {max(found)} of {count}: it was changed by hand",
+            remedy="name another file, or remove this one",
         )
     return found
 
@@ -260,7 +264,9 @@ def _decoded(lines: dict[int, str]) -> pd.DataFrame:
     tables = [json.loads(line) for _, line in sorted(lines.items())]
     tables = [table for table in tables if table["rows"]] or tables[:1]
     if len({tuple(table["columns"]) for table in tables}) > 1:
-        raise ValueError("chunks returned different columns; let work return the same ones always.")
+        raise Refusal(
+            "chunks returned different columns", remedy="let work return the same ones always"
+        )
     columns: dict[str, Any] = {}
     for name in tables[0]["columns"]:
         parts = [table["columns"][name] for table in tables]
@@ -331,16 +337,16 @@ def _cluster(address: str) -> Iterator[Pool]:
     try:
         import distributed
     except ImportError:
-        raise ValueError(
-            "a scheduler needs dask.distributed, which is not installed; write "
-            "pip install 'weberwhisk[cluster]'."
+        raise Refusal(
+            "a scheduler needs dask.distributed, which is not installed",
+            remedy="write pip install 'weberwhisk[cluster]'",
         ) from None
     try:
         client = distributed.Client(address, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ValueError(
-            f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
-            "with `dask scheduler`, and give the address that it prints."
+        raise Refusal(
+            f"no scheduler could be reached at {address!r} ({type(error).__name__})",
+            remedy="start one with `dask scheduler`, and give the address that it prints",
         ) from error
     try:
         with client, client.as_current():

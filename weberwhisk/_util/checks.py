@@ -10,6 +10,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .refusals import Refusal
 from .values import Array, Flags
 
 __all__ = [
@@ -24,16 +25,14 @@ def numbers(name: str, value: ArrayLike, hint: str) -> Array:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be a number, got {shown(value)}; {hint}.") from None
+        raise Refusal(f"{name} must be a number", shown(value), hint) from None
 
 
 def finite(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array, refused where it is text, NaN or infinite."""
     array = numbers(name, value, hint)
     if not np.all(np.isfinite(array)):
-        raise ValueError(
-            f"{name} must be finite, got {_first(array, ~np.isfinite(array))}; {hint}."
-        )
+        raise Refusal(f"{name} must be finite", _first(array, ~np.isfinite(array)), hint)
     return array
 
 
@@ -61,7 +60,7 @@ def positive(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers above zero."""
     array = finite(name, value, hint)
     if not np.all(array > 0):
-        raise ValueError(f"{name} must be above zero, got {_first(array, ~(array > 0))}; {hint}.")
+        raise Refusal(f"{name} must be above zero", _first(array, ~(array > 0)), hint)
     return array
 
 
@@ -69,7 +68,7 @@ def non_negative(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers of zero or more."""
     array = finite(name, value, hint)
     if not np.all(array >= 0):
-        raise ValueError(f"{name} must not be negative, got {_first(array, array < 0)}; {hint}.")
+        raise Refusal(f"{name} must not be negative", _first(array, array < 0), hint)
     return array
 
 
@@ -77,7 +76,7 @@ def number(name: str, value: ArrayLike, hint: str) -> float:
     """`value` as one finite number."""
     array = finite(name, value, hint)
     if array.size != 1:
-        raise ValueError(f"{name} must be one number, got {array.size}; {hint}.")
+        raise Refusal(f"{name} must be one number", array.size, hint)
     return float(array.reshape(()))
 
 
@@ -98,7 +97,7 @@ def between(
     one = number(name, value, hint)
     left_out = [end for end, bracket in zip((low, high), ends, strict=True) if bracket in "()"]
     if not low <= one <= high or one in left_out:
-        raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {one:g}; {hint}.")
+        raise Refusal(f"{name} must lie between {low:g} and {high:g}", f"{one:g}", hint)
     return one
 
 
@@ -114,21 +113,19 @@ def whole(name: str, value: object, hint: str, least: int = 1) -> int:
         number = float(array.reshape(()))
         if number.is_integer() and least <= number < 2**53:
             return int(number)
-    raise ValueError(
-        f"{name} must be a whole number of {least} or more, got {shown(value)}; {hint}."
-    )
+    raise Refusal(f"{name} must be a whole number of {least} or more", shown(value), hint)
 
 
 def kind(name: str, value: object, wanted: str, having: str, hint: str) -> None:
     """Refuses what has no attribute `having`, and classes where one of their objects is wanted."""
     if isinstance(value, type) or not hasattr(value, having):
-        raise ValueError(f"{name} must be {wanted}, got {shown(value)}; {hint}.")
+        raise Refusal(f"{name} must be {wanted}", shown(value), hint)
 
 
 def several(name: str, value: object, hint: str) -> list[Any]:
     """`value` as a list, refused where it is one thing or text."""
     if isinstance(value, str | bytes | type) or not isinstance(value, Iterable):
-        raise ValueError(f"{name} must be a list, got {shown(value)}; {hint}.")
+        raise Refusal(f"{name} must be a list", shown(value), hint)
     return list(value)
 
 
@@ -137,9 +134,10 @@ def generator(seed: Any) -> np.random.Generator:
     try:
         return np.random.default_rng(seed)
     except (TypeError, ValueError):
-        raise ValueError(
-            f"seed must be a whole number of zero or more, a SeedSequence or a Generator, got "
-            f"{shown(seed)}; write seed=1, say."
+        raise Refusal(
+            "seed must be a whole number of zero or more, a SeedSequence or a Generator",
+            shown(seed),
+            "write seed=1, say",
         ) from None
 
 
@@ -176,10 +174,11 @@ def refuse_hinge(whisker: Any, what: str) -> None:
         whisker = whisker.whisker
     stiffness = getattr(whisker, "hinge_stiffness", None)
     if stiffness is not None:
-        raise ValueError(
-            f"{what} takes whiskers with a clamped base, got hinge_stiffness {stiffness:g} N m/rad;"
-            " write hinge_stiffness=None, or ww.Observer(whisker, cue) with the cue "
-            "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments()."
+        raise Refusal(
+            f"{what} takes whiskers with a clamped base",
+            f"hinge_stiffness {stiffness:g} N m/rad",
+            "write hinge_stiffness=None, or ww.Observer(whisker, cue) with the cue "
+            "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments()",
         )
 
 
@@ -190,7 +189,9 @@ def one_of(name: str, value: object, choices: Iterable[str]) -> str:
         return value
     near = get_close_matches(str(value), known, n=1)
     meant = f" (did you mean {near[0]!r}?)" if near else ""
-    raise ValueError(f"{name} {shown(value)} is unknown{meant}; choose one of {', '.join(known)}.")
+    raise Refusal(
+        f"{name} {shown(value)} is unknown{meant}", remedy=f"choose one of {', '.join(known)}"
+    )
 
 
 def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...]:
@@ -199,11 +200,11 @@ def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...
     names = (value,) if isinstance(value, str) else value
     hint = f"write {known[:2]}, say"
     if not np.iterable(names):
-        raise ValueError(f"{name} must be a list of names, got {shown(value)}; {hint}.")
+        raise Refusal(f"{name} must be a list of names", shown(value), hint)
     single = f"{name[:-3]}y" if name.endswith("ies") else name.removesuffix("s")
     found = tuple(one_of(single, each, known) for each in names)
     if not found or len(set(found)) < len(found):
-        raise ValueError(f"{name} must be one or more, each once, got {list(found)}; {hint}.")
+        raise Refusal(f"{name} must be one or more, each once", list(found), hint)
     return found
 
 

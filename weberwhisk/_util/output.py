@@ -32,6 +32,7 @@ import numpy as np
 
 from .. import __version__
 from . import checks
+from .refusals import Refusal
 from .values import pd
 
 __all__ = ["Log", "Run", "atomic_write", "csv_text", "locked", "to_json"]
@@ -50,7 +51,7 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
-        raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
+        raise Refusal(f"{str(target)!r} is not an ordinary file", remedy="name a file to write")
     part = target.with_name(f"{UNFINISHED}{os.getpid()}-{threading.get_ident()}")
     try:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
@@ -65,9 +66,10 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
 def unwritable(path: Path, error: OSError, what: str = "file") -> ValueError:
     """Why a file or a folder of output cannot be written."""
     place = "a file in a folder that exists and" if what == "file" else "a folder"
-    return ValueError(
+    return Refusal(
         f"{'The output folder ' * (what == 'folder')}{str(path)!r} cannot be written "
-        f"({error.strerror}); name {place} that you may write to, on a disk with room."
+        f"({error.strerror})",
+        remedy=f"name {place} that you may write to, on a disk with room",
     )
 
 
@@ -189,8 +191,9 @@ class Run:
         if self.out_dir is None:
             return self
         if self.out_dir.exists() and not self.out_dir.is_dir():
-            raise ValueError(
-                f"The output folder {str(self.out_dir)!r} is a file; name a folder, or a new one."
+            raise Refusal(
+                f"The output folder {str(self.out_dir)!r} is a file",
+                remedy="name a folder, or a new one",
             )
         # In the folder itself, or in the nearest one above that exists: a rename moves the files.
         place = next(p for p in (self.out_dir, *self.out_dir.parents) if p.exists())
@@ -236,17 +239,21 @@ class Run:
         A ValueError for no plain name, one that is taken, or a run without a folder.
         """
         if self._staging is None or self.out_dir is None:
-            raise ValueError(
-                f"There is no folder for {name!r}; give the run an output folder and "
-                "write inside its `with` block."
+            raise Refusal(
+                f"There is no folder for {name!r}",
+                remedy="give the run an output folder and write inside its `with` block",
             )
         if not NAME.fullmatch(name) or RECORD in name:
-            raise ValueError(
-                f"{name!r} cannot name an output file; use letters, digits, '_', '-' and '.', "
-                f"and leave *{RECORD} to the record."
+            raise Refusal(
+                f"{name!r} cannot name an output file",
+                remedy=(
+                    f"use letters, digits, '_', '-' and '.', and leave *{RECORD} to the record"
+                ),
             )
         if name in self.files:
-            raise ValueError(f"The output file {name!r} is made twice; give each its own name.")
+            raise Refusal(
+                f"The output file {name!r} is made twice", remedy="give each its own name"
+            )
         if name not in self._earlier:  # another run may have made it meanwhile
             self._earlier = _made_earlier(self.out_dir / self._record)
         self._spare_others(self.out_dir / name)
@@ -256,9 +263,10 @@ class Run:
     def _spare_others(self, target: Path) -> None:
         """Refuse to replace what an earlier run of this command did not make."""
         if target.is_dir() or (os.path.lexists(target) and target.name not in self._earlier):
-            raise ValueError(
-                f"{str(target)!r} would be overwritten, and `weberwhisk {self.command}` did not "
-                "make it; move it, or name another output folder."
+            raise Refusal(
+                f"{str(target)!r} would be overwritten, and `weberwhisk {self.command}` did "
+                "not make it",
+                remedy="move it, or name another output folder",
             )
 
     def _finish(self, staging: Path, out_dir: Path) -> None:
@@ -293,9 +301,9 @@ def _made_earlier(record: Path) -> list[str]:
         # Names only: a record edited by hand must not reach outside its folder.
         if all(NAME.fullmatch(name) for name in names):
             return list(names)
-    raise ValueError(
-        f"{str(record)!r} is not a record that weberwhisk wrote; move it, or name another "
-        "output folder."
+    raise Refusal(
+        f"{str(record)!r} is not a record that weberwhisk wrote",
+        remedy="move it, or name another output folder",
     )
 
 
@@ -316,7 +324,7 @@ class Log:
     def __init__(self, path: str | os.PathLike[str], kind: str, question: dict[str, Any]) -> None:
         if not isinstance(path, str | os.PathLike):
             got = checks.shown(path)
-            raise ValueError(f"path must name a file, got {got}; write 'rat1.jsonl', say.")
+            raise Refusal("path must name a file", got, "write 'rat1.jsonl', say")
         self.path = Path(path)
         self.lines: list[str] = []
         self._kind = kind
@@ -330,9 +338,9 @@ class Log:
                 lock = self.path.with_name(f".{self.path.name}.lock")
                 opened.enter_context(locked(lock, 0.0))
             except TimeoutError:
-                raise ValueError(
-                    f"{str(self.path)!r} is being written by another process; wait for it, or name "
-                    "another file."
+                raise Refusal(
+                    f"{str(self.path)!r} is being written by another process",
+                    remedy="wait for it, or name another file",
                 ) from None
             except OSError as error:
                 raise unwritable(self.path, error) from error
@@ -357,18 +365,19 @@ class Log:
         whole = None not in records and isinstance(header, dict) and header.get(mark) == 1
         if not whole:
             place = records.index(None) + 1 if None in records else 1
-            raise ValueError(
+            raise Refusal(
                 f"{str(self.path)!r} is not the file of a {self._kind}, or was changed by hand "
-                f"(line {place}); name another file."
+                f"(line {place})",
+                remedy="name another file",
             )
         for what, asked in self._question.items():
             was = header.get(what)
             if was != asked:
                 words = f"its {what} is {was}, not {asked}"
                 words = words if len(words) < 300 else f"its {what} are others"
-                raise ValueError(
-                    f"{str(self.path)!r} holds another {self._kind}: {words}; name another file, "
-                    "or remove this one."
+                raise Refusal(
+                    f"{str(self.path)!r} holds another {self._kind}: {words}",
+                    remedy="name another file, or remove this one",
                 )
         self._file.truncate(len(content) - len(half))
         self.lines = [line[:-1].decode("ascii") for line in lines[1:]]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .refusals import Refusal
 from .values import Array, Flags, Seed
 
 if TYPE_CHECKING:
@@ -198,7 +199,9 @@ def sample_stacked(
         x = rows.reshape(len(alive), -1, dim)
         out = np.asarray(log_density(x, alive) if indexed else log_density(x), dtype=float)
         if not np.max(out) < np.inf:  # or NaN
-            raise ValueError("A log-density is NaN or +inf; return -inf where the density is zero.")
+            raise Refusal(
+                "A log-density is NaN or +inf", remedy="return -inf where the density is zero"
+            )
         return out.ravel()
 
     def columns(rows: Array) -> Array:
@@ -214,10 +217,10 @@ def sample_stacked(
     state = emcee.State(rows, density(rows), None, own)
     outside = np.isneginf(state.log_prob).reshape(count, -1).sum(axis=1)
     if outside.any():  # emcee takes them, and they stay
-        raise ValueError(
+        raise Refusal(
             f"walkers ({outside.sum()} of {np.sum(outside > 0)} posteriors) start where the "
-            f"log-density is -inf, the first in posterior {np.argmax(outside > 0)}; start them "
-            "inside the support."
+            f"log-density is -inf, the first in posterior {np.argmax(outside > 0)}",
+            remedy="start them inside the support",
         )
     moves = [(move(walkers, rng), 0.5) for move in MOVES]
     chain = columns(rows[None])[:, :, :0]
@@ -354,13 +357,14 @@ def _draws(name: str, group: Variables) -> dict[str, NDArray[Any]]:
     """Arrays that all start with the same (chain, draw)."""
     arrays = {key: np.asarray(value) for key, value in group.items()}
     if not arrays:
-        raise ValueError(f"{name} holds no variable; give at least one, or leave it out.")
+        raise Refusal(f"{name} holds no variable", remedy="give at least one, or leave it out")
     first = next(iter(arrays.values())).shape[:2]
     for key, value in arrays.items():
         if value.ndim < 2 or value.shape[:2] != first:
-            raise ValueError(
-                f"{name} variable {key!r} must have shape (chain, draw, ...) like the others, got "
-                f"{value.shape}; put chains on the first axis and draws on the second."
+            raise Refusal(
+                f"{name} variable {key!r} must have shape (chain, draw, ...) like the others",
+                value.shape,
+                "put chains on the first axis and draws on the second",
             )
     return arrays
 

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import logsumexp, ndtr
 
 from .._util.checks import angle, finite
+from .._util.refusals import Refusal
 from .._util.values import Array
 from ..inference import posterior
 from ..inference.coordinates import constrain_angle, unconstrain_angle, within_half_turn
@@ -94,16 +95,19 @@ class Sensor:
         if not self.taps:
             y = self.observer.checked_reading(reading)
             if y.ndim != 1:
-                raise ValueError(
-                    f"{name} has one reading of one place, got shape {y.shape}; "
-                    "call place() for each."
+                raise Refusal(
+                    f"{name} has one reading of one place",
+                    f"shape {y.shape}",
+                    "call place() for each",
                 )
             return y
         y = finite(f"the reading of {name}", reading, "give SI units")
         if y.ndim != 1 or len(y) < 2:
-            raise ValueError(
+            raise Refusal(
                 f"The reading of {name} is a tap: signals, and last the azimuth at which it "
-                f"touched in rad, got shape {y.shape}; write [*signals, azimuth]."
+                "touched in rad",
+                f"shape {y.shape}",
+                "write [*signals, azimuth]",
             )
         return np.append(
             self.observer.checked_reading(y[:-1]),
@@ -395,9 +399,10 @@ def metres(name: str, value: ArrayLike) -> Array:
     at = finite(name, value, "give metres")
     if np.any(np.abs(at) >= 1.0):
         far = at.flat[np.argmax(np.abs(at))]
-        raise ValueError(
-            f"{name} is in metres from the middle of a head, got {far:g}; write {far:g}e-3 if "
-            "that was in millimetres."
+        raise Refusal(
+            f"{name} is in metres from the middle of a head",
+            f"{far:g}",
+            f"write {far:g}e-3 if that was in millimetres",
         )
     return at
 
@@ -409,5 +414,5 @@ def one_place(place: ArrayLike, count: int = 2) -> Array:
         what, such = "x and y", "[20e-3, 0.0]"
         if count == 3:
             what, such = "x, y and z", "[20e-3, 0.0, 5e-3]"
-        raise ValueError(f"A place is {what} in metres, got shape {at.shape}; write {such}.")
+        raise Refusal(f"A place is {what} in metres", f"shape {at.shape}", f"write {such}")
     return at

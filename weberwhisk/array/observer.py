@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
@@ -94,15 +95,16 @@ class ArrayObserver(Fields):
         sd = checks.non_negative_number("angle_sd", self.angle_sd, _RADIANS)
         checks.angle("angle_sd", sd, _RADIANS)
         if not checks.non_negative_number("missed", self.missed, "write 0.02, say") < 1:
-            raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
+            raise Refusal("missed must be below 1", self.missed, "write 0.02, say")
         if self.pole_length is not None:
             checks.positive_number("pole_length", self.pole_length, "give metres, such as 5e-3")
         if self.region is not None:
             box = checks.finite("region", self.region, "give metres")
             if box.shape != (2, 2) or np.any(box[:, 0] >= box[:, 1]):
-                raise ValueError(
-                    f"region must be two ends of x and two of y, got {box.tolist()}; "
-                    "write ((0.0, 40e-3), (-20e-3, 20e-3)), say."
+                raise Refusal(
+                    "region must be two ends of x and two of y",
+                    box.tolist(),
+                    "write ((0.0, 40e-3), (-20e-3, 20e-3)), say",
                 )
             metres("region", box)
 
@@ -116,15 +118,17 @@ class ArrayObserver(Fields):
             cue = _own(self.cue, name, "cue") or ForceMap()
             observer = Observer(follicle.whisker, cue, _own(self.noise, name, "noise"))
             if len(observer.unknowns) > observer.bounded:
-                raise ValueError(
-                    f"The place is of distance and deflection alone, got "
-                    f"{', '.join(observer.unknowns)} unknown; take a cue that knows the rest."
+                raise Refusal(
+                    "The place is of distance and deflection alone",
+                    f"{', '.join(observer.unknowns)} unknown",
+                    "take a cue that knows the rest",
                 )
             out[name] = Sensor(follicle, observer, self.angle_sd)
             if out[name].taps and self.angle_sd == 0:
-                raise ValueError(
-                    f"{name} taps, whose bearing is as uncertain as its azimuth, got angle_sd 0; "
-                    "write np.radians(1.0), say."
+                raise Refusal(
+                    f"{name} taps, whose bearing is as uncertain as its azimuth",
+                    "angle_sd 0",
+                    "write np.radians(1.0), say",
                 )
         return out
 
@@ -197,9 +201,10 @@ class ArrayObserver(Fields):
     def information(self, place: ArrayLike) -> Array:
         """Fisher information about places (n, 2) by whisker, (n, whiskers, 2, 2), 1/m²."""
         if self.pole_length is not None:
-            raise ValueError(
-                "Fisher information is of poles as high as all whiskers, got a pole_length of "
-                f"{self.pole_length:g} m; leave it out."
+            raise Refusal(
+                "Fisher information is of poles as high as all whiskers",
+                f"a pole_length of {self.pole_length:g} m",
+                "leave it out",
             )
         at = np.atleast_2d(metres("place", place))
         return np.stack([s.information(at) for s in self.sensors.values()], axis=1)
@@ -207,9 +212,10 @@ class ArrayObserver(Fields):
     def checked(self, readings: Readings) -> dict[str, Array | None]:
         """Readings by name, each of the numbers that its cue has."""
         if not isinstance(readings, Mapping) or not readings:
-            raise ValueError(
-                "Readings are a mapping of whisker to reading, None where it does not touch, got "
-                f"{checks.shown(readings)}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
+            raise Refusal(
+                "Readings are a mapping of whisker to reading, None where it does not touch",
+                checks.shown(readings),
+                "write {'C2': [1e-7, 1e-6], 'C3': None}, say",
             )
         return {
             checks.one_of("whisker", name, self.sensors): None
@@ -224,5 +230,5 @@ def _own(value: Any, name: str, what: str) -> Any:
     if not isinstance(value, Mapping):
         return value
     if name not in value:
-        raise ValueError(f"{name} has no {what}; leave it out of the array, or give it one.")
+        raise Refusal(f"{name} has no {what}", remedy="leave it out of the array, or give it one")
     return value[name]

@@ -16,6 +16,7 @@ from scipy.special import logsumexp
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
+from .._util.refusals import Refusal
 from .._util.sampling import pointwise_loo
 from .._util.values import Array, Index, Line, Shown
 from .axes import lapse_prior, score_prior
@@ -93,14 +94,15 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     ['free', 'wrong']
     """
     if not isinstance(fits, Mapping):
-        raise ValueError(
-            f"fits must be a mapping of names to fits, got {checks.shown(fits)}; write "
-            "ww.compare({'one': fit, 'two': other})."
+        raise Refusal(
+            "fits must be a mapping of names to fits",
+            checks.shown(fits),
+            "write ww.compare({'one': fit, 'two': other})",
         )
     for name, fit in fits.items():
         check_fit(fit, f"the fit {name!r}")
     if len(fits) < 2:
-        raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
+        raise Refusal("two fits or more can be compared", len(fits), "give another")
     rows = {name: Answers.of(fit) for name, fit in fits.items()}
     first, *others = rows.values()
     for name, other in zip(list(fits)[1:], others, strict=True):
@@ -108,9 +110,9 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
             np.array_equal(getattr(first, a), getattr(other, a)) for a in ("n", "count")
         )
         if not (same and _same_stimuli(first.frame, other.frame)):
-            raise ValueError(
-                f"{name!r} was fitted to other trials than {next(iter(fits))!r}; fit both to the "
-                "same ones."
+            raise Refusal(
+                f"{name!r} was fitted to other trials than {next(iter(fits))!r}",
+                remedy="fit both to the same ones",
             )
     evidence = np.array(
         [np.nan if f.log_evidence is None else f.log_evidence for f in fits.values()]
@@ -156,14 +158,16 @@ def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
     """LOO density and Pareto k of one trial of each row, answered one way or the other, (2, R)."""
     model = fit.model
     if model.dispersed is not None:
-        raise ValueError(
+        raise Refusal(
             "trials of an overdispersed observer are not independent, so none can be left out "
-            "alone; compare fits without the effect Overdispersion."
+            "alone",
+            remedy="compare fits without the effect Overdispersion",
         )
     if model.n_states > 1:
-        raise ValueError(
-            f"trials of an observer with states={model.n_states} follow each other, so none can be "
-            "left out alone; subtract one fit's log_evidence from the other's."
+        raise Refusal(
+            f"trials of an observer with states={model.n_states} follow each other, so none "
+            "can be left out alone",
+            remedy="subtract one fit's log_evidence from the other's",
         )
     chains = fit.posterior.chains
     draws = fit.posterior.draws()
@@ -230,21 +234,21 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
     check_fit(fit)
     model = fit.model
     if model.effects:
-        raise ValueError(
-            f"Weber's law is tested without effects, got {', '.join(e.name for e in model.effects)}"
-            "; fit without them, or compare fits with and without Floor()."
+        raise Refusal(
+            "Weber's law is tested without effects",
+            ", ".join(e.name for e in model.effects),
+            "fit without them, or compare fits with and without Floor()",
         )
     if model.n_states > 1:
-        raise ValueError(
-            f"Weber's law is tested of one state, got states={model.n_states}; fit the trials of "
-            "each standard, trials.select(standard=...), with states."
+        raise Refusal(
+            "Weber's law is tested of one state",
+            f"states={model.n_states}",
+            "fit the trials of each standard, trials.select(standard=...), with states",
         )
     if fit.standards.size < 2:
-        raise ValueError(
-            "Weber's law needs two standards or more, got 1; collect another standard."
-        )
+        raise Refusal("Weber's law needs two standards or more", "1", "collect another standard")
     if "weber_fraction" not in model.names:
-        raise ValueError("the Weber fraction is fixed; give it a prior to test Weber's law.")
+        raise Refusal("the Weber fraction is fixed", remedy="give it a prior to test Weber's law")
     rows = []
     for standard, part in model.by_standard():
         own = QuadraturePosterior(part.merged(), integrate(part.merged()), 0)

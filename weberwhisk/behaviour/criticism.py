@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .._util.checks import generator, one_of
+from .._util.refusals import Refusal
 from .._util.values import Array, Index
 from .encodings import encoding_for
 from .estimates import Estimates, check_fit, compared
@@ -58,8 +59,8 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     """
     rows = Answers.of(fit)
     if not columns:
-        raise ValueError(
-            "no column was named; write ww.behaviour.residuals_by(fit, 'session'), say."
+        raise Refusal(
+            "no column was named", remedy="write ww.behaviour.residuals_by(fit, 'session'), say"
         )
     for column in columns:
         one_of("column", column, map(str, rows.frame.columns))

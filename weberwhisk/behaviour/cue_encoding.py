@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Fields
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
@@ -74,18 +75,19 @@ class CueEncoding(Fields):
         checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
         cue = self.observer.cue
         if self.observer.noise.is_categorical:
-            raise ValueError(
-                f"{cue!r} reports events, all or none, which leave no two noisy signals to "
-                "compare; write ww.cues.Compliance(), say."
+            raise Refusal(
+                f"{cue!r} reports events, all or none, which leave no two noisy signals to compare",
+                remedy="write ww.cues.Compliance(), say",
             )
         if self.deflection_angle is not None:
             hint = "give radians, such as 0.2"
             checks.number("deflection_angle", self.deflection_angle, hint)
             checks.angle("deflection_angle", self.deflection_angle, hint)
         if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
-            raise ValueError(
-                f"{cue!r} needs the deflection angle of the contacts, got none; "
-                "write deflection_angle=np.radians(10), say."
+            raise Refusal(
+                f"{cue!r} needs the deflection angle of the contacts",
+                "none",
+                "write deflection_angle=np.radians(10), say",
             )
 
     @property
@@ -277,21 +279,25 @@ class PooledEncoding(Fields):
         for look in given:
             checks.kind("a look", look, "a CueEncoding", "own_fraction", hint)
         if not given:
-            raise ValueError(f"looks is empty; {hint}.")
+            raise Refusal("looks is empty", remedy=hint)
         if len({look.unit for look in given}) > 1:
-            raise ValueError("the looks have stimuli in different units; give all the same unit=.")
+            raise Refusal(
+                "the looks have stimuli in different units", remedy="give all the same unit="
+            )
         for look in given:
             observer = look.observer
             if observer.bounded < len(observer.unknowns):
-                raise ValueError(
+                raise Refusal(
                     f"all looks share what {observer.cue!r} leaves unknown "
-                    f"({', '.join(observer.unknowns[observer.bounded :])}), which pooling would "
-                    "average away; take a cue that knows it."
+                    f"({', '.join(observer.unknowns[observer.bounded :])}), which pooling "
+                    "would average away",
+                    remedy="take a cue that knows it",
                 )
         offsets = tuple(float(d) for d in self.offsets) or (0.0,) * len(given)
         if len(offsets) != len(given):
-            raise ValueError(
-                f"offsets has {len(offsets)} numbers for {len(given)} looks; give one a look."
+            raise Refusal(
+                f"offsets has {len(offsets)} numbers for {len(given)} looks",
+                remedy="give one a look",
             )
         checks.finite("offsets", offsets, "give the distances between the bases")
         object.__setattr__(self, "looks", given)

@@ -16,6 +16,7 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields, pd
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
@@ -131,9 +132,10 @@ def _typical(encodings: UnitEncodings, what: str) -> float:
     if not sds.size:
         return 1.0
     if np.ptp(sds) <= 1e-9 * sds.max() or np.any(means == 0):
-        raise ValueError(
-            f"{what} shows only where noise grows with the stimulus, got stimuli that are all "
-            "equally noisy; leave it out, or give more standards."
+        raise Refusal(
+            f"{what} shows only where noise grows with the stimulus",
+            "stimuli that are all equally noisy",
+            "leave it out, or give more standards",
         )
     return float(np.exp(np.mean(np.log(means))))
 
@@ -273,24 +275,25 @@ class Covariate(Effect, Fields):
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         checks.one_of("the column of a Covariate", self.of, map(str, trials.frame.columns))
         if self.on == "bias" and not trials.task.has_bias:
-            raise ValueError(
-                f"{trials.task.name} has no response bias that {self.of!r} could move; write "
-                f"ww.behaviour.effects.Covariate({self.of!r}, on='weber_fraction')."
+            raise Refusal(
+                f"{trials.task.name} has no response bias that {self.of!r} could move",
+                remedy=(f"write ww.behaviour.effects.Covariate({self.of!r}, on='weber_fraction')"),
             )
         values = trials.frame[self.of]
         if values[trials.answered].isna().any():
-            raise ValueError(
-                f"{trials.source}, column {self.of!r}: empty in a trial with an answer; fill it, "
-                "or remove the trial."
+            raise Refusal(
+                f"{trials.source}, column {self.of!r}: empty in a trial with an answer",
+                remedy="fill it, or remove the trial",
             )
         levels = sorted(set(values.dropna()), key=lambda v: (isinstance(v, str), v))
         if len(levels) == 2:
             return (values == levels[1]).to_numpy(float)
         numbers = pd.to_numeric(values, errors="coerce").to_numpy(float)
         if len(levels) < 2 or not np.isfinite(numbers[trials.answered]).all():
-            raise ValueError(
-                f"{trials.source}, column {self.of!r}: a Covariate has two values or is a number, "
-                f"got {checks.listed(levels)}; choose trials with two, trials.select(...)."
+            raise Refusal(
+                f"{trials.source}, column {self.of!r}: a Covariate has two values or is a number",
+                checks.listed(levels),
+                "choose trials with two, trials.select(...)",
             )
         numbers = np.where(np.isfinite(numbers), numbers, np.nanmean(numbers))
         return np.asarray((numbers - numbers.mean()) / numbers.std())
@@ -311,9 +314,10 @@ EFFECTS: dict[str, Effect] = {
 def check_effects(effects: Any) -> None:
     """Refuses what is not a sequence of effects, with what to write instead."""
     if isinstance(effects, str) or not isinstance(effects, Sequence):
-        raise ValueError(
-            f"effects must be a sequence, got {checks.shown(effects)}; write effects=[Drift()], "
-            "say, with Drift from weberwhisk.behaviour.effects."
+        raise Refusal(
+            "effects must be a sequence",
+            checks.shown(effects),
+            "write effects=[Drift()], say, with Drift from weberwhisk.behaviour.effects",
         )
     for effect in effects:
         named = EFFECTS.get(effect) if isinstance(effect, str) else None
@@ -330,17 +334,15 @@ def check_valued(effects: Any) -> None:
     try:
         pairs = [(effect, value) for effect, value in effects]
     except (TypeError, ValueError):
-        raise ValueError(
-            f"effects must be pairs of an effect and its value, got {checks.shown(effects)}; "
-            f"{hint}."
+        raise Refusal(
+            "effects must be pairs of an effect and its value", checks.shown(effects), hint
         ) from None
     check_effects([effect for effect, _ in pairs])
     for effect, value in pairs:
         values = checks.finite(f"the value of {effect.name}", value, hint)
         if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
-            raise ValueError(
-                f"overdispersion must lie between 0 and 1, got {checks.shown(value)}; write "
-                "0.05, say."
+            raise Refusal(
+                "overdispersion must lie between 0 and 1", checks.shown(value), "write 0.05, say"
             )
 
 
@@ -362,7 +364,7 @@ def effect_named(name: str) -> Effect:
     kind, _, column = name.partition(":")
     if kind == "covariate":
         if not column:
-            raise ValueError("covariate names no column; write covariate:laser, say.")
+            raise Refusal("covariate names no column", remedy="write covariate:laser, say")
         of, _, on = column.partition(":")
         return Covariate(of, on or "bias")
     return EFFECTS[checks.one_of("effect", name, EFFECTS)]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields, Flags, Index
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PooledEncoding
@@ -165,7 +166,7 @@ def described(encoding: Encoding) -> str:
 def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None:
     """The encoding given, directly or as an observer; None where there is neither."""
     if encoding is not None and observer is not None:
-        raise ValueError("encoding and observer were both given; give one of them.")
+        raise Refusal("encoding and observer were both given", remedy="give one of them")
     if observer is not None:
         return CueEncoding(observer)
     if encoding is not None:
@@ -190,9 +191,10 @@ def refuse_outside(encoding: Encoding, stimulus: ArrayLike) -> None:
     stimuli, (low, high) = np.ravel(np.asarray(stimulus, dtype=float)), encoding.domain
     outside = ~((stimuli > low) & (stimuli < high))
     if outside.any():
-        raise ValueError(
+        raise Refusal(
             f"stimulus {stimuli[outside][0]:g} lies outside what can be encoded, {low:g} to "
-            f"{high:g}; choose other standards or comparisons."
+            f"{high:g}",
+            remedy="choose other standards or comparisons",
         )
 
 
@@ -204,9 +206,10 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
         return
     first = float(levels[~encoded][0])
     why = f" ({encoding.outcome(first)})" if isinstance(encoding, OF_DISTANCE) else ""
-    raise ValueError(
+    raise Refusal(
         f"{int((~encoded).sum())} of {levels.size} stimuli give no signal, the first being "
-        f"{first:g}{why}; leave those trials out, or change the whisker or the cue."
+        f"{first:g}{why}",
+        remedy="leave those trials out, or change the whisker or the cue",
     )
 
 
@@ -215,21 +218,23 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
     farthest offender, and by how much it is off."""
     at = np.atleast_1d(checks.numbers(name, stimulus, "give one distance, or several"))
     if not at.size:
-        raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
+        raise Refusal(f"a {name} is needed", "none", "give one distance, or several")
     low, high = encoding.domain
 
     def said(value: float) -> str:
         return in_words(encoding, value)
 
     if at.max() >= high:
-        raise ValueError(
-            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its tip "
-            f"at {said(high)}; stay well inside."
+        raise Refusal(
+            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its "
+            f"tip at {said(high)}",
+            remedy="stay well inside",
         )
     if at.min() <= low:
-        raise ValueError(
+        raise Refusal(
             f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
-            f"base at {said(low)}; stay well inside."
+            f"base at {said(low)}",
+            remedy="stay well inside",
         )
     encoded = gives_signal(encoding, at)
     if encoded.all():
@@ -241,13 +246,16 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
         angle = np.degrees(encoding.deflection_angle)
         limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
     if not limit < angle:  # NaN also beyond a curved whisker's reach
-        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
+        raise Refusal(
+            f"{name} {said(worst)} cannot be encoded: {why}", remedy="choose another distance"
+        )
     grid = np.linspace(0.01, 0.999, 400) * high
     inside = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
     farthest = f"stay within {said(float(inside.max()))}, or " if inside.size else ""
-    raise ValueError(
-        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
-        f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
+    raise Refusal(
+        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and "
+        f"contacts are at {angle:.3g}°, {angle - limit:.2g}° too much",
+        remedy=f"{farthest}press less",
     )
 
 

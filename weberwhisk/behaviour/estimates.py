@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Shown, counted, interval_text
 from . import psychometric as curve
 from .effects import Effect
@@ -236,9 +237,9 @@ class Estimates(Shown):
         refuse_outside(self.encoding, levels)
         if standard is None:
             if self.standards.size != 1:
-                raise ValueError(
-                    f"the table has {self.standards.size} standards; name one, for example "
-                    f"standard={self.standards[0]:g}."
+                raise Refusal(
+                    f"the table has {self.standards.size} standards",
+                    remedy=f"name one, for example standard={self.standards[0]:g}",
                 )
             standard = float(self.standards[0])
         standard = checks.number("standard", standard, "name one standard")
@@ -259,9 +260,9 @@ class Estimates(Shown):
         at = np.flatnonzero(np.isclose(self.standards, standard, rtol=1e-9, atol=0))
         if not at.size:
             known = ", ".join(f"{s:g}" for s in self.standards)
-            raise ValueError(
-                f"standard {standard:g} has no answers in the table, so it has no bias; "
-                f"choose one of {known}."
+            raise Refusal(
+                f"standard {standard:g} has no answers in the table, so it has no bias",
+                remedy=f"choose one of {known}",
             )
         return int(at[0])
 

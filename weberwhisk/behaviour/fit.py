@@ -11,6 +11,7 @@ import numpy as np
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
+from .._util.refusals import Refusal
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
 from . import criticism, report
@@ -243,9 +244,10 @@ def fit_weber(
     rng = checks.generator(seed)
     if states > 1:
         if used != "importance":
-            raise ValueError(
-                f"states={states} is fitted by importance sampling alone, got method={method!r}; "
-                "leave method out."
+            raise Refusal(
+                f"states={states} is fitted by importance sampling alone",
+                f"method={method!r}",
+                "leave method out",
             )
         chain = with_states(model, trials, encoded, states)
         found = state_posterior(chain, rng)

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
+from .._util.refusals import Refusal
 from .._util.values import Array, Index
 from .axes import log_lapses_possible
 from .likelihood import Draws, WeberModel
@@ -203,7 +204,9 @@ class Target:
     def posterior(self, rng: np.random.Generator) -> ImportancePosterior:
         """Draws of it, with its evidence."""
         if not self.start[0].size:
-            raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
+            raise Refusal(
+                "every parameter is fixed", remedy="leave at least one of them a distribution"
+            )
         found = weighted_draws(self.log_density, *self.start, rng)
         error = found.effective**-0.5
         trouble = f"its draws are worth only {found.effective:.0f} independent ones"

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..recordings.files import as_number, load_table
 from .tasks import TASKS, Task, task_named
@@ -117,9 +118,10 @@ def read_trials(
     _check_mapping("columns", columns, "{'choice': 'response'}")
     for ours, theirs in (columns or {}).items():
         if not isinstance(theirs, str):
-            raise ValueError(
-                f"columns[{ours!r}] must be the name of a column, got {checks.shown(theirs)}; "
-                "write it as it stands in the header."
+            raise Refusal(
+                f"columns[{ours!r}] must be the name of a column",
+                checks.shown(theirs),
+                "write it as it stands in the header",
             )
     _check_mapping("choice_labels", choice_labels, "{'L': 'first', 'R': 'second'}")
     checks.one_of("scale", scale, SCALES)
@@ -133,7 +135,9 @@ def read_trials(
         checks.positive("log_unit", log_unit, hint)
     raw, name = load_table(source)
     if not len(raw):
-        raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
+        raise Refusal(
+            f"{name}: the table has no rows", remedy="give one row per trial under a header"
+        )
     check = TableCheck(pd.DataFrame(index=raw.index), name)
     mapped = dict(columns or {})
     # Where a stimulus goes by its plain name, or is mapped, all are in its unit.
@@ -141,18 +145,21 @@ def read_trials(
     lengths = {} if plain or scale == "log" else in_millimetres(raw)
     stimuli, answer = _choose_columns(check, raw, mapped | lengths, named)
     if scale == "linear" and log_unit is not None and stimuli != ("log_ratio",):
-        raise ValueError(
-            f"log_unit={log_unit:g} was given for magnitudes; write scale='log', or leave it out."
+        raise Refusal(
+            f"log_unit={log_unit:g} was given for magnitudes",
+            remedy="write scale='log', or leave it out",
         )
     if choice_labels and answer != "choice":
-        raise ValueError(
-            "choice_labels say which stimulus was reported greater, got them for the answer "
-            f"{answer!r}; leave them out and write 1 for correct and 0 for wrong, or counts."
+        raise Refusal(
+            "choice_labels say which stimulus was reported greater",
+            f"them for the answer {answer!r}",
+            "leave them out and write 1 for correct and 0 for wrong, or counts",
         )
     if "n" in mapped and answer in SINGLE:
-        raise ValueError(
-            f"columns maps 'n', the trials of a row, got {answer!r}, the answer of one trial; map "
-            "'n_greater' or 'n_correct' to the count of answers, or leave 'n' out."
+        raise Refusal(
+            "columns maps 'n', the trials of a row",
+            f"{answer!r}, the answer of one trial",
+            "map 'n_greater' or 'n_correct' to the count of answers, or leave 'n' out",
         )
     if stimuli == ("log_ratio",):
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
@@ -227,8 +234,8 @@ def _choose_columns(
 
 def _check_mapping(name: str, value: object, example: str) -> None:
     if value is not None and not isinstance(value, Mapping):
-        raise ValueError(
-            f"{name} must be a mapping, got {checks.shown(value)}; write {name}={example}, say."
+        raise Refusal(
+            f"{name} must be a mapping", checks.shown(value), f"write {name}={example}, say"
         )
 
 
@@ -261,7 +268,7 @@ class TableCheck:
     def raise_problems(self) -> None:
         """Raise everything found, a line each."""
         if self.problems:
-            raise ValueError("\n".join(self.problems))
+            raise Refusal("\n".join(self.problems))
 
     def numbers(self, column: str, least: float = -np.inf) -> Array:
         """A column as floats; text, gaps, infinities and what is below the least are problems."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields, Index
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
@@ -182,9 +183,10 @@ class WeberModel(Fields):
         """Both signals of every cell, (..., C), with Weber fraction (...) and effects (..., E)."""
         encoded = self.encodings.encoded(k)
         if self.effects and effects is None:
-            raise ValueError(
+            raise Refusal(
                 f"the model has effects ({', '.join(e.name for e in self.effects)}) and got no "
-                "values of them; give effects=draws.effects."
+                "values of them",
+                remedy="give effects=draws.effects",
             )
         for i, (effect, column) in enumerate(zip(self.effects, self.columns, strict=True)):
             assert effects is not None
@@ -371,11 +373,10 @@ def build_model(
     check_trials(trials)
     check_effects(effects)
     if len(trials.subjects) > 1:
-        raise ValueError(
+        raise Refusal(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
-            f"({checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
-            "one with "
-            f"trials.select(subject={trials.subjects[0]!r})."
+            f"({checks.listed(trials.subjects)}) and one observer is fitted at a time",
+            remedy=f"choose one with trials.select(subject={trials.subjects[0]!r})",
         )
     encoded = encoding_of(trials, encoding, observer, noise)
     task = trials.task
@@ -383,25 +384,21 @@ def build_model(
     chosen = by_itself if bias is None else bias
     checks.one_of("bias", chosen, BIASES)
     if chosen != "none" and not task.has_bias:
-        raise ValueError(
-            f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
-        )
+        raise Refusal(f"{task.name} has no response bias to fit", f"bias={bias!r}", "leave it out")
     cells, columns, _ = gather(trials, tuple(effects), encoded)
     both = pairs_shown(cells, encoded, noise)
     if cells.sd_1 is not None:
         both = over_places(task, encoded, cells, both, noise)
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
-        raise ValueError(
-            "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
-            "of angles is a constant; give receptors whose noise grows, "
-            "ww.receptors.Weber(0.1), say."
+        raise Refusal(
+            "no noise of these signals goes with a Weber fraction, so there is none to fit: "
+            "that of angles is a constant",
+            remedy="give receptors whose noise grows, ww.receptors.Weber(0.1), say",
         )
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
     by_name = {effect.name: effect.prior for effect in bound} | dict(further or {})
     if len({effect.name for effect in bound}) < len(bound):
-        raise ValueError(
-            f"effects must differ, got {', '.join(e.name for e in bound)}; name each once."
-        )
+        raise Refusal("effects must differ", ", ".join(e.name for e in bound), "name each once")
     names: tuple[str, ...] = ()
     group = np.zeros(cells.n.size, dtype=np.intp)
     label = task.bias_name or "bias"

@@ -18,6 +18,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, counted
 from ..inference.observer import Observer
 from ..recordings import locate
@@ -108,23 +109,24 @@ def with_distances(
     """
     check_trials(trials)
     if not isinstance(encoding, CueEncoding | PooledEncoding):
-        raise ValueError(
-            "distances were given without a whisker; write observer=ww.Observer(whisker, "
-            "cue), and nominal distances in metres."
+        raise Refusal(
+            "distances were given without a whisker",
+            remedy="write observer=ww.Observer(whisker, cue), and nominal distances in metres",
         )
     frame = trials.frame
     if SDS[0] in frame:
-        raise ValueError("the trials have located distances already; give the nominal ones.")
+        raise Refusal("the trials have located distances already", remedy="give the nominal ones")
     if "trial" not in frame or (frame["n"] > 1).any():
-        raise ValueError(
-            f"{trials.source}: located distances need a row a trial, numbered in a column 'trial'; "
-            "name it with columns={'trial': '<its name>'}."
+        raise Refusal(
+            f"{trials.source}: located distances need a row a trial, numbered in a column 'trial'",
+            remedy="name it with columns={'trial': '<its name>'}",
         )
     keys = [c for c in ("subject", "session", "trial") if c in frame]
     if frame.duplicated(keys).any():
         row = frame.loc[frame.duplicated(keys), keys].iloc[0].to_dict()
-        raise ValueError(
-            f"{trials.source}: there are two trials {_named(row)}; number them within sessions."
+        raise Refusal(
+            f"{trials.source}: there are two trials {_named(row)}",
+            remedy="number them within sessions",
         )
     yes_no = isinstance(trials.task, YesNo)
     looks = encoding.looks if isinstance(encoding, PooledEncoding) else (encoding,)
@@ -136,9 +138,9 @@ def with_distances(
     place = index.get_indexer(pd.MultiIndex.from_frame(table[keys]))
     joined = place >= 0
     if not joined.any():
-        raise ValueError(
-            f"none of the {len(table)} located touches belongs to a trial of {trials.source}; the "
-            f"columns {checks.listed(keys)} of both must have the same names."
+        raise Refusal(
+            f"none of the {len(table)} located touches belongs to a trial of {trials.source}",
+            remedy=f"the columns {checks.listed(keys)} of both must have the same names",
         )
     which = place[joined], table["interval"].to_numpy(np.intp)[joined] - 1
     mean[which], sd[which] = table.loc[joined, "mean"], table.loc[joined, "sd"]
@@ -155,10 +157,10 @@ def with_distances(
     )
     lost = ~gives_signal(encoding, at)
     if lost.any():
-        raise ValueError(
+        raise Refusal(
             f"{int(lost.sum())} located distances give no signal, the first being "
-            f"{at[lost][0]:.4g} ({encoding.outcome(float(at[lost][0]))}); leave those trials out, "
-            "or change the whisker or the cue."
+            f"{at[lost][0]:.4g} ({encoding.outcome(float(at[lost][0]))})",
+            remedy="leave those trials out, or change the whisker or the cue",
         )
     unit = 1e3 * encoding.unit
     missing, stray = int((measured & ~seen).sum()), int((~joined).sum())
@@ -206,9 +208,10 @@ def over_places(
     the difference between the means, E D · σ, and the `spread`, Var D · σ².
     """
     if not isinstance(task, SignedChoice | YesNo | SameDifferent):
-        raise ValueError(
-            f"{task.name} has no likelihood of measured distances, as its answers are scored by "
-            "the pole's place; give which was called farther, and task='2AFC'."
+        raise Refusal(
+            f"{task.name} has no likelihood of measured distances, as its answers are scored "
+            "by the pole's place",
+            remedy="give which was called farther, and task='2AFC'",
         )
     nodes, weights = np.polynomial.hermite_e.hermegauss(9)
     means, sds, shares = [], [], []
@@ -336,9 +339,9 @@ def _as_text(labels: pd.Series) -> pd.Series:
 def _refuse_lacking(header: Any, needed: list[str]) -> None:
     lacking = [c for c in needed if c not in header]
     if lacking:
-        raise ValueError(
-            f"distances has no column {', '.join(map(repr, lacking))}; it needs "
-            f"{', '.join(needed)}."
+        raise Refusal(
+            f"distances has no column {', '.join(map(repr, lacking))}",
+            remedy=f"it needs {', '.join(needed)}",
         )
 
 
@@ -359,9 +362,9 @@ def _located(distances: Any, keys: list[str], yes_no: bool, observer: Observer) 
     touch = [*keys, *(("interval",) if "interval" in raw or not yes_no else ())]
     _refuse_lacking(raw.columns, touch)
     if not any(name.endswith("_sd") for name in quantities):
-        raise ValueError(
-            "the contacts have no measurement errors, and what the receptors add is fitted; give "
-            "moment_sd and the like, or distances and their sds."
+        raise Refusal(
+            "the contacts have no measurement errors, and what the receptors add is fitted",
+            remedy="give moment_sd and the like, or distances and their sds",
         )
     rows = raw[touch].apply(_as_text).itertuples(index=False)
     some = raw[touch].notna().all(axis=1)
@@ -390,14 +393,16 @@ def _table(distances: pd.DataFrame, keys: list[str], yes_no: bool, unit: float) 
         own = own[distances[status].astype(str).isin(_GOOD)]
     own = own[own["mean"].notna()]
     if not len(own):
-        raise ValueError(f"distances has no located touch; {_HINT}.")
+        raise Refusal("distances has no located touch", remedy=_HINT)
     wrong = own.loc[~own["interval"].isin((1, 2)), "interval"]
     if len(wrong):
-        raise ValueError(
-            f"interval must be 1 or 2, got {wrong.iloc[0]!r}; number the two intervals of a trial."
+        raise Refusal(
+            "interval must be 1 or 2", f"{wrong.iloc[0]!r}", "number the two intervals of a trial"
         )
     if not (own["sd"] > 0).all():
-        raise ValueError("sds of distances must be above zero; give what was located, with its sd.")
+        raise Refusal(
+            "sds of distances must be above zero", remedy="give what was located, with its sd"
+        )
     own["interval"] = own["interval"].astype(int)
     interval = [*keys, "interval"]
     if is_touch:
@@ -405,15 +410,15 @@ def _table(distances: pd.DataFrame, keys: list[str], yes_no: bool, unit: float) 
         twice = own.duplicated([*keys, "mean", "sd"])
         if twice.any():
             row = own.loc[twice, keys].iloc[0].to_dict()
-            raise ValueError(
-                f"one touch is in both intervals of {_named(row)}; number touches by trial and "
-                "interval."
+            raise Refusal(
+                f"one touch is in both intervals of {_named(row)}",
+                remedy="number touches by trial and interval",
             )
     elif own.duplicated(interval).any():
         row = own.loc[own.duplicated(interval), interval].iloc[0].to_dict()
-        raise ValueError(
-            f"there are several rows for {_named(row)}, which share a stiffness and a prior; give "
-            "locate a touch a row of the trial with touch=, or one row an interval."
+        raise Refusal(
+            f"there are several rows for {_named(row)}, which share a stiffness and a prior",
+            remedy=("give locate a touch a row of the trial with touch=, or one row an interval"),
         )
     # Several touches of an interval are weighted by precision, and their sd is wider where they
     # disagree by more than their own sds (Birge 1932).
@@ -432,8 +437,9 @@ def _table(distances: pd.DataFrame, keys: list[str], yes_no: bool, unit: float) 
 def _check_unit(mean: Array, nominal: Array) -> None:
     ratio = float(np.nanmedian(mean / nominal))
     if not 1 / 8 < ratio < 8:
-        raise ValueError(
-            f"located distances are {ratio:.3g} times the nominal ones: radial_distance_mm is in "
-            "millimetres, and stimuli are in metres where an observer is given alone (mm on the "
-            "command line); give both in their units."
+        raise Refusal(
+            f"located distances are {ratio:.3g} times the nominal ones: radial_distance_mm is "
+            "in millimetres, and stimuli are in metres where an observer is given alone (mm "
+            "on the command line)",
+            remedy="give both in their units",
         )

@@ -23,6 +23,7 @@ from scipy.special import bdtrc, ndtr
 from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.output import plain
+from .._util.refusals import Refusal
 from .._util.sampling import ArvizData, to_arviz
 from .._util.values import Array, Shown, counted, interval_text, methods_text, weighted_quantiles
 from ..inference.coordinates import in_words
@@ -125,7 +126,7 @@ class PopulationFit(Shown):
     def _nodes(self, parameter: str) -> tuple[Array, Array]:
         checks.one_of("parameter", parameter, self.parameters)
         if self.population is None:
-            raise ValueError(f"there is no population to speak of: {self.status.value}.")
+            raise Refusal(f"there is no population to speak of: {self.status.value}.")
         return self.population.nodes(parameter)
 
     @property
@@ -200,7 +201,7 @@ class PopulationFit(Shown):
     def to_arviz(self, draws: int = 1000) -> ArvizData:
         """Independent draws of the population's parameters, in four chains, for ArviZ."""
         if self.population is None:
-            raise ValueError(f"there is no population to draw from: {self.status.value}.")
+            raise Refusal(f"there is no population to draw from: {self.status.value}.")
         sample = self.population.draws(4 * draws, self.seed)
         return to_arviz(
             {name: values.reshape(4, draws) for name, values in sample.items()},
@@ -269,15 +270,16 @@ def fit_population(
     prior = SPREAD if spread_prior is None else spread_prior
     check_distribution("spread", prior)
     if (low := float(prior.support()[0])) < 0:
-        raise ValueError(
-            f"the prior of spread must not reach below zero, got support from {low:g}; give for "
-            "example scipy.stats.halfnorm(scale=0.5)."
+        raise Refusal(
+            "the prior of spread must not reach below zero",
+            f"support from {low:g}",
+            "give for example scipy.stats.halfnorm(scale=0.5)",
         )
     checks.generator(seed)
     if "subject" not in trials.frame:
-        raise ValueError(
-            f"{trials.source}: there is no column 'subject' that names the subjects; map one with "
-            "columns={'subject': '<its name>'} when the table is read."
+        raise Refusal(
+            f"{trials.source}: there is no column 'subject' that names the subjects",
+            remedy="map one with columns={'subject': '<its name>'} when the table is read",
         )
     parts = {subject: trials.select(subject=subject) for subject in trials.subjects}
     encoded = encoding_of(trials, encoding, observer, noise)
@@ -285,9 +287,9 @@ def fit_population(
     shown = (pairs_shown(part.cells(), encoded, noise) for part in parts.values())
     believed = priors_for(priors, trials.cells(), trials.unit_known, trials.task, shown=shown)
     if believed.is_fixed("weber_fraction"):
-        raise ValueError(
-            "the Weber fraction of every animal was fixed, and a population learns them; leave it "
-            "out of priors, or fix the lapses alone."
+        raise Refusal(
+            "the Weber fraction of every animal was fixed, and a population learns them",
+            remedy="leave it out of priors, or fix the lapses alone",
         )
     options = {"encoding": encoding, "observer": observer, "bias": bias, "noise": noise}
     fits = {

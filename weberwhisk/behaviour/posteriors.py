@@ -19,6 +19,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from .axes import bias_at
 from .integrate import PosteriorGrid, density_of, log_marginal
@@ -337,7 +338,9 @@ def sample(
     rng = np.random.default_rng(seed)
     dim = sum(model.free) + model.free_bias * model.n_groups
     if dim == 0:
-        raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
+        raise Refusal(
+            "every parameter is fixed", remedy="leave at least one of them a distribution"
+        )
 
     def log_density(theta: Array) -> Array:
         inside = (np.abs(theta[..., : sum(model.free)]) < REACH).all(axis=-1)

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
@@ -86,9 +87,10 @@ class Priors(Fields):
 
     def __post_init__(self) -> None:
         if not isinstance(self.effects, Mapping):
-            raise ValueError(
-                f"effects must be a mapping of names to priors, got {checks.shown(self.effects)}; "
-                "write effects={'drift': scipy.stats.norm(0, 1)}, say."
+            raise Refusal(
+                "effects must be a mapping of names to priors",
+                checks.shown(self.effects),
+                "write effects={'drift': scipy.stats.norm(0, 1)}, say",
             )
         for name in (*PARAMETERS, *self.effects):
             prior = self.of(name)
@@ -98,35 +100,40 @@ class Priors(Fields):
                 check_distribution(name, prior)
         low, high = self.support("weber_fraction")
         if low < 0 or high <= 0:
-            raise ValueError(
-                f"the prior of weber_fraction must lie above zero, got support {low:g} to "
-                f"{high:g}; give for example scipy.stats.lognorm(1.1, scale=0.1)."
+            raise Refusal(
+                "the prior of weber_fraction must lie above zero",
+                f"support {low:g} to {high:g}",
+                "give for example scipy.stats.lognorm(1.1, scale=0.1)",
             )
         if "floor" in self and self.support("floor")[0] < 0:
-            raise ValueError(
-                f"the prior of floor must not reach below zero, got support from "
-                f"{self.support('floor')[0]:g}; give for example scipy.stats.halfnorm(scale=0.1)."
+            raise Refusal(
+                "the prior of floor must not reach below zero",
+                f"support from {self.support('floor')[0]:g}",
+                "give for example scipy.stats.halfnorm(scale=0.1)",
             )
         for name in ("lapse_low", "lapse_high", "overdispersion"):
             if name not in self:
                 continue
             low, high = self.support(name)
             if low < 0 or high > 1:
-                raise ValueError(
-                    f"the prior of {name} must lie between 0 and 1, got support {low:g} to "
-                    f"{high:g}; give for example scipy.stats.beta(1, 20)."
+                raise Refusal(
+                    f"the prior of {name} must lie between 0 and 1",
+                    f"support {low:g} to {high:g}",
+                    "give for example scipy.stats.beta(1, 20)",
                 )
         lost = [self.support(name)[0] for name in ("lapse_low", "lapse_high")]
         if sum(lost) >= 1:
-            raise ValueError(
-                f"the priors of lapse_low and lapse_high must leave something, got lapses of "
-                f"{lost[0]:g} and {lost[1]:g} at least; write 0.02 for each, say."
+            raise Refusal(
+                "the priors of lapse_low and lapse_high must leave something",
+                f"lapses of {lost[0]:g} and {lost[1]:g} at least",
+                "write 0.02 for each, say",
             )
         hint = "write 0 for lapses that know nothing of each other"
         if not -1 < checks.number("lapse_correlation", self.lapse_correlation, hint) < 1:
-            raise ValueError(
-                f"lapse_correlation must lie between -1 and 1, got {self.lapse_correlation:g}; "
-                "write 0 for lapses that know nothing of each other."
+            raise Refusal(
+                "lapse_correlation must lie between -1 and 1",
+                f"{self.lapse_correlation:g}",
+                "write 0 for lapses that know nothing of each other",
             )
 
     def __contains__(self, name: str) -> bool:
@@ -255,9 +262,10 @@ def lapse_transform(prior: Any, doublings: int) -> LapseTransform:
 def check_distribution(name: str, prior: Any) -> None:
     """Refuses what is not a frozen continuous distribution."""
     if isinstance(prior, type) or not (hasattr(prior, "dist") and hasattr(prior.dist, "pdf")):
-        raise ValueError(
-            f"the prior of {name} must be a frozen continuous distribution, got "
-            f"{checks.shown(prior)}; {DISTRIBUTION}."
+        raise Refusal(
+            f"the prior of {name} must be a frozen continuous distribution",
+            checks.shown(prior),
+            DISTRIBUTION,
         )
 
 
@@ -285,18 +293,22 @@ def levels_prior(
     widest = []
     for pairs in shown:
         if pairs.has_floor:
-            raise ValueError(
+            raise Refusal(
                 "part of the noise does not go with the Weber fraction, and levels inform of "
-                "the whole; state scipy.stats.lognorm(0.46, scale=0.1) as the prior of "
-                "weber_fraction, say, instead of 'levels'."
+                "the whole",
+                remedy=(
+                    "state scipy.stats.lognorm(0.46, scale=0.1) as the prior of "
+                    "weber_fraction, say, instead of 'levels'"
+                ),
             )
         sd = pairs.sd_2 if isinstance(task, YesNo) else np.hypot(pairs.sd_1, pairs.sd_2)
         gap = np.abs(pairs.mean_2 - pairs.mean_1)[sd > 0] / sd[sd > 0]
         widest += [float(gap.max())] if np.any(gap > 0) else []
     if not widest:
-        raise ValueError(
-            "no pair of different stimuli was shown, so that there are no levels to lay the prior "
-            "of weber_fraction about; leave out 'levels'."
+        raise Refusal(
+            "no pair of different stimuli was shown, so that there are no levels to lay the "
+            "prior of weber_fraction about",
+            remedy="leave out 'levels'",
         )
     middle = float(np.exp(np.mean(np.log(widest)))) / easiest
     return _about_levels(middle, spread)
@@ -329,9 +341,10 @@ def priors_for(
             priors = of_task(priors, task)
         return replace(priors, effects=own | dict(priors.effects)) if own else priors
     if priors is not None and not isinstance(priors, Mapping):
-        raise ValueError(
-            f"priors must be Priors or a mapping, got {checks.shown(priors)}; write "
-            "priors={'lapse_low': scipy.stats.beta(1, 9)}, say."
+        raise Refusal(
+            "priors must be Priors or a mapping",
+            checks.shown(priors),
+            "write priors={'lapse_low': scipy.stats.beta(1, 9)}, say",
         )
     changes = {"bias" if name == "criterion" else name: p for name, p in dict(priors or {}).items()}
     for name in changes:
@@ -340,9 +353,9 @@ def priors_for(
     if isinstance(named := changes.get("weber_fraction"), str):
         checks.one_of("the belief about weber_fraction", named, ("levels",))
         if "floor" in own:
-            raise ValueError(
-                "a floor is fitted, and levels inform of all noise together; state a prior of "
-                "weber_fraction, or leave out 'levels' or the floor."
+            raise Refusal(
+                "a floor is fitted, and levels inform of all noise together",
+                remedy="state a prior of weber_fraction, or leave out 'levels' or the floor",
             )
         assert task is not None
         changes["weber_fraction"] = levels_prior(shown, task)

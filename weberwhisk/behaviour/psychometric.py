@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array
 from .effects import Effect, check_valued
 from .encodings import (
@@ -80,7 +81,7 @@ def response_probability(
         for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high))
     ]
     if np.any(sum(lapses) > 1):
-        raise ValueError("lapses sum to more than 1; write 0.02 for each, say.")
+        raise Refusal("lapses sum to more than 1", remedy="write 0.02 for each, say")
     low, high = task.asymptotes(*lapses)
     return low * down + (1 - high) * up
 
@@ -117,9 +118,10 @@ def check_proportion(task: Task, proportion: float) -> float:
     low = task.guess_rate or 0.0
     value = checks.number("proportion", proportion, "write for example 0.75")
     if not low < value < 1:
-        raise ValueError(
-            f"proportion must lie between {low:g} and 1 for {task.name}, got {value:g}; "
-            "write for example 0.75."
+        raise Refusal(
+            f"proportion must lie between {low:g} and 1 for {task.name}",
+            f"{value:g}",
+            "write for example 0.75",
         )
     return value
 

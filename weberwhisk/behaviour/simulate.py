@@ -13,6 +13,7 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
@@ -128,31 +129,33 @@ def simulate_trials(
         checks.number(f"the value of {effect.name}", value, "write 0.2, say")
     checks.one_of("order", order, ORDERS)
     if order == "random" and chosen.bias_name != "bias":
-        raise ValueError(
-            f"order={order!r} needs a task of two intervals, got task {task!r}; write task='2AFC', "
-            "or leave order out."
+        raise Refusal(
+            f"order={order!r} needs a task of two intervals",
+            f"task {task!r}",
+            "write task='2AFC', or leave order out",
         )
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
         checks.between(name, value, "write for example 0.02", ends="[)")
     if lapse_low + lapse_high >= 1:
-        raise ValueError(
-            f"lapse_low + lapse_high must be below 1, got {lapse_low + lapse_high:g}; "
-            "write for example 0.02 for each."
+        raise Refusal(
+            "lapse_low + lapse_high must be below 1",
+            f"{lapse_low + lapse_high:g}",
+            "write for example 0.02 for each",
         )
     trials_per_level = checks.whole("trials_per_level", trials_per_level, "write 40, say")
     sessions = checks.whole("sessions", sessions, "write 10, say")
     if subject is not None and not isinstance(subject, str | int):
-        raise ValueError(f"subject must be a name, got {checks.shown(subject)}; write 'r1', say.")
+        raise Refusal("subject must be a name", checks.shown(subject), "write 'r1', say")
     encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
     base = np.ravel(checks.finite("standards", standards, "give one stimulus or several"))
     if not base.size:
-        raise ValueError("standards is empty; write standards=1.0, say.")
+        raise Refusal("standards is empty", remedy="write standards=1.0, say")
     levels = _levels(base, offsets, comparisons, isinstance(encoded, LogEncoding))
     shift = checks.finite("bias", bias, "write for example 0")
     if shift.shape not in ((), (1,), base.shape):
-        raise ValueError(
-            f"bias has shape {shift.shape} for standards of shape {base.shape}; give one number, "
-            "or one a standard."
+        raise Refusal(
+            f"bias has shape {shift.shape} for standards of shape {base.shape}",
+            remedy="give one number, or one a standard",
         )
     shift = np.broadcast_to(shift, base.shape)
     fraction, wander = _course(weber_fraction, sessions, drift, bias_drift)
@@ -197,9 +200,10 @@ def simulate_trials(
     if states is not None:
         checks.kind("states", states, "States", "drawn", "write ww.behaviour.States(engaged=0.7)")
         if not chosen.has_bias:
-            raise ValueError(
-                f"states need a task whose answers take a side, got task {task!r}; write "
-                "task='2AFC', or leave states out."
+            raise Refusal(
+                "states need a task whose answers take a side",
+                f"task {task!r}",
+                "write task='2AFC', or leave states out",
             )
         state, second = states.drawn(frame, rng.random((2, len(frame))))
         answers = np.where(state > 0, uniform[place] < second, answers)
@@ -213,16 +217,17 @@ def _course(
     """The Weber fraction of each session, and what is added to the bias; (sessions,) or (1,)."""
     k = np.atleast_1d(checks.positive("weber_fraction", weber_fraction, "write for example 0.1"))
     if k.shape not in ((1,), (sessions,)):
-        raise ValueError(
-            f"weber_fraction has shape {k.shape} for {sessions} sessions; give one number, or one "
-            "a session."
+        raise Refusal(
+            f"weber_fraction has shape {k.shape} for {sessions} sessions",
+            remedy="give one number, or one a session",
         )
     for name, value in (("drift", drift), ("bias_drift", bias_drift)):
         checks.number(name, value, "write for example -0.5")
         if value and sessions < 2:
-            raise ValueError(
-                f"{name} goes from the first session to the last, got sessions={sessions}; "
-                "write sessions=10, say."
+            raise Refusal(
+                f"{name} goes from the first session to the last",
+                f"sessions={sessions}",
+                "write sessions=10, say",
             )
     if not drift and not bias_drift:
         return k, np.zeros(1)
@@ -233,22 +238,23 @@ def _course(
 def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
     """Comparisons of every standard, (S, C)."""
     if offsets is not None and comparisons is not None:
-        raise ValueError("offsets and comparisons were both given; give one of them.")
+        raise Refusal("offsets and comparisons were both given", remedy="give one of them")
     if comparisons is not None:
         hint = "give one level or several"
         given = np.atleast_1d(checks.finite("comparisons", comparisons, hint))
         if not given.size or given.shape not in (given.shape[-1:], (base.size, given.shape[-1])):
-            raise ValueError(
-                f"comparisons has shape {given.shape} for {base.size} standards; give one row of "
-                "levels, or one row each."
+            raise Refusal(
+                f"comparisons has shape {given.shape} for {base.size} standards",
+                remedy="give one row of levels, or one row each",
             )
         return np.broadcast_to(given, (base.size, given.shape[-1]))
     offsets = SIGNED_OFFSETS if offsets is None else offsets
     relative = np.atleast_1d(checks.finite("offsets", offsets, "write for example 0.1"))
     if relative.ndim > 1 or not relative.size:
-        raise ValueError(
-            f"offsets must be one row of numbers, got shape {relative.shape}; write "
-            "offsets=[-0.1, 0.1], or comparisons= with a row a standard."
+        raise Refusal(
+            "offsets must be one row of numbers",
+            f"shape {relative.shape}",
+            "write offsets=[-0.1, 0.1], or comparisons= with a row a standard",
         )
     levels = base[:, None] + relative if is_log else base[:, None] * (1 + relative)
     # Twelve digits: a level is written as one would write it, and the same level is one level.
@@ -457,9 +463,9 @@ def simulate_responses(
     for name, frame, needed in (("table", table, STIMULI), ("animals", animals, TRUTH)):
         lacking = {"subject", *needed} - set(getattr(frame, "columns", ()))
         if not isinstance(frame, pd.DataFrame) or lacking:
-            raise ValueError(
-                f"{name} must be a DataFrame with columns subject, {', '.join(needed)}, got "
-                f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}."
+            raise Refusal(
+                f"{name} must be a DataFrame with columns subject, {', '.join(needed)}",
+                f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}",
             )
     checked_encoding(encoding)
     keys = [name for name in ("subject", "session") if name in animals]
@@ -467,7 +473,7 @@ def simulate_responses(
     unknown = truth[list(TRUTH)].isna().any(axis=1).to_numpy()
     if unknown.any():
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
-        raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
+        raise Refusal(f"The truth about {who} is not given", remedy="add a row of animals for it")
     rng = checks.generator(seed)
     labels = {name: table[name] for name in LABELS if name in table}
     stimuli = {name: table[name].to_numpy(float) for name in STIMULI}

@@ -25,6 +25,7 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
 from .importance import ImportancePosterior, Target, weighted_draws
@@ -348,14 +349,16 @@ def with_states(model: WeberModel, trials: Trials, encoding: Encoding, n_states:
     frame = trials.frame
     needs_rows(trials, f"states={n_states}")
     if not trials.task.has_bias:
-        raise ValueError(
-            f"states={n_states} needs to know which answer was given, got task "
-            f"{trials.task.name!r}, scored right or wrong; leave states out, or read the choices."
+        raise Refusal(
+            f"states={n_states} needs to know which answer was given",
+            f"task {trials.task.name!r}, scored right or wrong",
+            "leave states out, or read the choices",
         )
     if model.dispersed is not None:
-        raise ValueError(
-            f"states={n_states} makes answers scatter by itself, got the effect Overdispersion; "
-            "leave it out."
+        raise Refusal(
+            f"states={n_states} makes answers scatter by itself",
+            "the effect Overdispersion",
+            "leave it out",
         )
     answered = trials.answered
     cell = np.zeros(len(frame), dtype=np.intp)
@@ -378,9 +381,11 @@ def with_states(model: WeberModel, trials: Trials, encoding: Encoding, n_states:
 def check_states(n_states: Any) -> int:
     """Refuses a number of states that there is no model of."""
     if isinstance(n_states, bool) or n_states not in (1, *STATE_PRIORS):
-        raise ValueError(
-            f"states must be 1, 2 or 3, got {checks.shown(n_states)}; write states=3 for an animal "
-            "that keeps to one side or the other when it is not engaged."
+        raise Refusal(
+            "states must be 1, 2 or 3",
+            checks.shown(n_states),
+            "write states=3 for an animal that keeps to one side or the other when it "
+            "is not engaged",
         )
     return int(n_states)
 

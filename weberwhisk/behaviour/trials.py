@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.output import atomic_write, csv_text
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags, Index, Line, counted
 from .tasks import Task
 
@@ -107,7 +108,7 @@ class Trials(Line):
         checks.kind("frame", self.frame, "a DataFrame", "columns", hint)
         lacking = [c for c in COLUMNS if c not in self.frame]
         if lacking:
-            raise ValueError(f"frame has no column {', '.join(map(repr, lacking))}; {hint}.")
+            raise Refusal(f"frame has no column {', '.join(map(repr, lacking))}", remedy=hint)
         checks.kind(
             "task", self.task, "a Task", "decide", "write ww.behaviour.task_named('2AFC'), say"
         )
@@ -115,9 +116,12 @@ class Trials(Line):
         n, count = (self.frame[c].to_numpy(float) for c in ("n", "count"))
         wrong = ~np.isfinite(n) | (n < 0) | (n != np.round(n)) | (count < 0) | (count > n)
         if wrong.any():
-            raise ValueError(
-                f"frame has n = {n[wrong][0]:g} and count = {count[wrong][0]:g} in a row; n must "
-                "be a whole number and count lie between 0 and n, or be NaN for no answer."
+            raise Refusal(
+                f"frame has n = {n[wrong][0]:g} and count = {count[wrong][0]:g} in a row",
+                remedy=(
+                    "n must be a whole number and count lie between 0 and n, or be NaN for "
+                    "no answer"
+                ),
             )
 
     def __len__(self) -> int:
@@ -198,8 +202,9 @@ class Trials(Line):
         if not keep.any():
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
             there = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
-            raise ValueError(
-                f"{self.source}: no trials have {words}; choose values that occur: {there}."
+            raise Refusal(
+                f"{self.source}: no trials have {words}",
+                remedy=f"choose values that occur: {there}",
             )
         known = notes_of(self.frame, self.rows)
         others = (note for note in self.notes if note not in known)
@@ -291,15 +296,16 @@ def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:
 def joined(parts: list[Trials]) -> Trials:
     """Tables of one task, scale and unit, one below the other."""
     if not isinstance(parts, list | tuple):
-        raise ValueError(f"parts must be a list of Trials, got {checks.shown(parts)}.")
+        raise Refusal("parts must be a list of Trials", checks.shown(parts))
     for part in parts:
         check_trials(part)
     if not parts:
-        raise ValueError("there are no tables to join; give one or more.")
+        raise Refusal("there are no tables to join", remedy="give one or more")
     kinds = {(t.task.name, t.scale, t.log_unit) for t in parts}
     if len(kinds) > 1:
-        raise ValueError(
-            f"tables of {len(kinds)} kinds (task, scale, unit) were given; join those of one kind."
+        raise Refusal(
+            f"tables of {len(kinds)} kinds (task, scale, unit) were given",
+            remedy="join those of one kind",
         )
     if len(parts) == 1:
         return parts[0]
@@ -396,31 +402,35 @@ def after_gap(frame: pd.DataFrame) -> Flags:
 
 def needs_order(trials: Trials, what: str) -> None:
     if trials.task.bias_name != "bias":
-        raise ValueError(
-            f"{what} needs to know which interval held which stimulus, got task "
-            f"{trials.task.name!r}; it goes with '2AFC' and '2IFC'."
+        raise Refusal(
+            f"{what} needs to know which interval held which stimulus",
+            f"task {trials.task.name!r}",
+            "it goes with '2AFC' and '2IFC'",
         )
 
 
 def needs_rows(trials: Trials, what: str) -> None:
     if (trials.frame["n"] != 1).any():
-        raise ValueError(
-            f"{trials.source}: {what} needs a row a trial, got counts; give the trials in their "
-            "order."
+        raise Refusal(
+            f"{trials.source}: {what} needs a row a trial",
+            "counts",
+            "give the trials in their order",
         )
     if not in_order(trials.frame):
-        raise ValueError(
-            f"{trials.source}: {what} needs the trials in their order, got rows whose trial falls "
-            "within a session, or sessions in pieces; sort by session and trial."
+        raise Refusal(
+            f"{trials.source}: {what} needs the trials in their order",
+            "rows whose trial falls within a session, or sessions in pieces",
+            "sort by session and trial",
         )
 
 
 def sessions_of(trials: Trials, what: str) -> tuple[list[Any], Index]:
     """Sessions in order (text as it first appears in the table), and the place of each row's."""
     if what and len(trials.sessions) < 2:
-        raise ValueError(
-            f"{trials.source}: {what} needs two sessions or more, got {len(trials.sessions)}; "
-            "give the table a column 'session'."
+        raise Refusal(
+            f"{trials.source}: {what} needs two sessions or more",
+            len(trials.sessions),
+            "give the table a column 'session'",
         )
     sessions = trials.frame["session"]
     place, levels = pd.factorize(sessions, sort=pd.api.types.is_numeric_dtype(sessions))

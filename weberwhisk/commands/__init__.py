@@ -31,12 +31,13 @@ import weberwhisk as ww
 from .._util import checks
 from .._util.output import Run, to_json
 from .._util.output import shown as progress_shown
+from .._util.refusals import Refusal
 from .._util.values import Array, pd
 
 __all__ = [
     "CUES", "NO_SHAPE", "SCENES", "Number", "Shape", "Text", "Texts", "a_number", "a_seed",
     "as_asked", "command", "describe", "enough_draws", "finish", "numbers", "one_angle", "option",
-    "pairs", "progress", "raised_by_weberwhisk", "show", "the_cue", "the_scene", "the_whisker",
+    "pairs", "progress", "show", "the_cue", "the_scene", "the_whisker",
     "weber_fractions", "whisker_line", "with_options",
 ]  # fmt: skip
 
@@ -51,15 +52,6 @@ def progress(
         return
     with progress_shown(description, total, every=every) as advance:
         yield advance
-
-
-def raised_by_weberwhisk(error: BaseException) -> bool:
-    """Whether this package raised the error; a ValueError from elsewhere is a bug."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    package = trace.tb_frame.f_globals.get("__package__") if trace is not None else None
-    return (package or "").split(".")[0] == "weberwhisk"
 
 
 def a_number(text: str | float) -> float:
@@ -90,7 +82,7 @@ def numbers(option: str, values: Sequence[str]) -> Array:
         try:
             found.append(float(text))
         except ValueError:
-            raise ValueError(f"{option} takes numbers such as 10,20,30, got {text!r}.") from None
+            raise Refusal(f"{option} takes numbers such as 10,20,30", f"{text!r}") from None
     return np.array(found)
 
 
@@ -234,12 +226,10 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             options["shape"] = Shape(*(options.pop(name) for name in _SHAPE))
         try:
             function(**options)
-        except ValueError as error:
-            if not raised_by_weberwhisk(error):
-                raise
+        except Refusal as error:
             names = (*kinds, *_CALLED)
             words = re.sub(rf"^({'|'.join(names)})\b(?!=)", _as_option, str(error))
-            raise ValueError(with_options(words, names)) from error
+            raise Refusal(with_options(words, names)) from error
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -269,7 +259,7 @@ def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
 def enough_draws(draws: int) -> None:
     """Refuse fewer readings than an sd needs."""
     if draws < 2:
-        raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
+        raise Refusal("--draws needs at least two noisy readings", draws, "write 200, say")
 
 
 #: Cues of forces with Weber noise, the only ones for choices.
@@ -313,9 +303,10 @@ def the_scene(
     useless += [] if deflected else [(angles_deg, "--deflection-angle-deg")]
     for given, what in useless:
         if given:
-            raise ValueError(
-                f"The cue {cue} has no use for {what}, got {', '.join(given)}; leave it out, or "
-                "write --cue force-map."
+            raise Refusal(
+                f"The cue {cue} has no use for {what}",
+                ", ".join(given),
+                "leave it out, or write --cue force-map",
             )
     return ww.Observer(whisker, made), _angles(angles_deg) if deflected else np.array([])
 
@@ -339,7 +330,7 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
 def one_angle(angles: Array, why: str = "Choices are made at one deflection angle") -> float | None:
     """The only deflection angle; None where the cue fixes it."""
     if angles.size > 1:
-        raise ValueError(f"{why}, got {angles.size} values of --deflection-angle-deg; give one.")
+        raise Refusal(why, f"{angles.size} values of --deflection-angle-deg", "give one")
     return float(angles[0]) if angles.size else None
 
 
@@ -354,9 +345,10 @@ def weber_fractions(texts: Texts, signals: int | None = None) -> Array | float:
     fractions = numbers("--weber-fraction", texts or ["0.1"])
     checks.positive("--weber-fraction", fractions, "write 0.1, say")
     if signals is not None and fractions.size not in (1, signals):
-        raise ValueError(
-            f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
-            f"got {fractions.size}; write 0.1, say."
+        raise Refusal(
+            f"--weber-fraction takes one number, or one for each signal of the cue ({signals})",
+            fractions.size,
+            "write 0.1, say",
         )
     return fractions if fractions.size > 1 else float(fractions[0])
 
@@ -376,27 +368,33 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     given = [n for n, value in zip(names, shape[1:4], strict=True) if value is not None]
     if identity is not None:
         if given:
-            raise ValueError(
-                f"A whisker has an identity or a shape, got --identity and {given[0]}; "
-                "leave one of them out."
+            raise Refusal(
+                "A whisker has an identity or a shape",
+                f"--identity and {given[0]}",
+                "leave one of them out",
             )
         made = ww.Whisker.from_identity(identity, seed=seed, curved=bow == "own", **modulus)
         return replace(made, **curved) if curved else made
     if not given:
-        raise ValueError(
-            "No whisker is given; write --identity C2, or its shape with "
-            "--length-mm, --base-radius-um and --tip-radius-um."
+        raise Refusal(
+            "No whisker is given",
+            remedy=(
+                "write --identity C2, or its shape with --length-mm, --base-radius-um and "
+                "--tip-radius-um"
+            ),
         )
     if length_mm is None or base_radius_um is None or tip_radius_um is None:
         missing = [name for name in names if name not in given]
-        raise ValueError(
-            f"The whisker's shape is incomplete, got {' and '.join(given)}; "
-            f"write {' and '.join(missing)} as well."
+        raise Refusal(
+            "The whisker's shape is incomplete",
+            " and ".join(given),
+            f"write {' and '.join(missing)} as well",
         )
     if seed is not None:
-        raise ValueError(
-            f"--seed draws a whisker of an --identity, got a shape and --seed {seed}; "
-            "leave --seed out."
+        raise Refusal(
+            "--seed draws a whisker of an --identity",
+            f"a shape and --seed {seed}",
+            "leave --seed out",
         )
     checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
     checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
@@ -466,7 +464,7 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
     for text in texts or ():
         left, sign, right = text.partition("=")
         if not (left and sign and right):
-            raise ValueError(f"{name} takes a pair such as {example}, got {text!r}.")
+            raise Refusal(f"{name} takes a pair such as {example}", f"{text!r}")
         found[left.strip()] = right.strip()
     return found
 

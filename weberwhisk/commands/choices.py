@@ -13,6 +13,7 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text, to_json
+from .._util.refusals import Refusal
 from .._util.values import counted
 from . import numbers
 
@@ -29,7 +30,7 @@ def distance_encoding(
     if not shape.given:
         for name, given in (("--cue", cue), ("--deflection-angle-deg", angles_deg)):
             if given:
-                raise ValueError(f"{name} needs a whisker, got none; write --identity C2, say.")
+                raise Refusal(f"{name} needs a whisker", "none", "write --identity C2, say")
         return None, None
     whisker = opt.the_whisker(shape)
     made, angles = opt.the_cue(cue, angles_deg)
@@ -80,14 +81,16 @@ def simulate(
 
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
     if encoding is None and standard_mm:
-        raise ValueError(
-            "--standard-mm needs a whisker, got none; write --identity C2, or "
-            "--standard for magnitudes."
+        raise Refusal(
+            "--standard-mm needs a whisker",
+            "none",
+            "write --identity C2, or --standard for magnitudes",
         )
     if encoding is not None and (standard or not standard_mm):
-        raise ValueError(
-            f"Distances encoded through a whisker are given by --standard-mm, got "
-            f"{'--standard' if standard else 'none'}; write --standard-mm 20, say."
+        raise Refusal(
+            "Distances encoded through a whisker are given by --standard-mm",
+            "--standard" if standard else "none",
+            "write --standard-mm 20, say",
         )
     base = numbers("--standard-mm" if encoding else "--standard", standard_mm or standard or ["1"])
     checks.positive("--standard-mm" if encoding else "--standard", base, "write 20, say")
@@ -227,8 +230,9 @@ def fit(
         _refuse_metres(trials, encoding)
     if distances is not None:
         if encoding is None:
-            raise ValueError(
-                f"--distances {distances} needs the whisker that touched; add --identity C2, say."
+            raise Refusal(
+                f"--distances {distances} needs the whisker that touched",
+                remedy="add --identity C2, say",
             )
         trials = ww.behaviour.with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
@@ -237,9 +241,9 @@ def fit(
         priors = {"weber_fraction": known} | (priors or {})
     if together:
         if effect or law or method or states != 1:
-            raise ValueError(
-                "--together fits the plain observer, by quadrature; leave --effect, --states, "
-                "--law and --method out."
+            raise Refusal(
+                "--together fits the plain observer, by quadrature",
+                remedy="leave --effect, --states, --law and --method out",
             )
         options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
         _fit_together(trials, options, inputs, seed, out, as_json)
@@ -280,14 +284,15 @@ def _trials(
     log_unit: float | None, encoding: CueEncoding | None,
 ) -> ww.Trials:  # fmt: skip
     if not file.is_file():
-        raise ValueError(f"{str(file)!r} is not a file; give the path of a table of trials.")
+        raise Refusal(f"{str(file)!r} is not a file", remedy="give the path of a table of trials")
     columns = opt.pairs("--column", column, "choice=response")
     if encoding is not None:
         columns = _with_millimetres(file) | columns
         if scale != "linear":
-            raise ValueError(
-                f"Distances encoded through a whisker are on a linear scale, got {scale!r}; "
-                "leave --scale out."
+            raise Refusal(
+                "Distances encoded through a whisker are on a linear scale",
+                f"{scale!r}",
+                "leave --scale out",
             )
     labels = opt.pairs("--label", label, "L=first") or None
     return ww.read_trials(
@@ -313,7 +318,7 @@ def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
 
     shape = numbers("--lapse-prior", [text])
     if shape.size != 2 or (shape <= 0).any():
-        raise ValueError(f"--lapse-prior takes two numbers above zero, got {text!r}; write 1,20.")
+        raise Refusal("--lapse-prior takes two numbers above zero", f"{text!r}", "write 1,20")
     return {name: stats.beta(*shape.tolist()) for name in trials.task.lapses}
 
 
@@ -340,18 +345,20 @@ def _selected(
 ) -> ww.Trials:
     for name, value in (("subject", subject), ("session", session)):
         if value is not None and name not in trials.frame:
-            raise ValueError(
-                f"{trials.source}: there is no column {name!r}; leave --{name} out, or name it "
-                f"with --column {name}='<its name>'."
+            raise Refusal(
+                f"{trials.source}: there is no column {name!r}",
+                remedy=f"leave --{name} out, or name it with --column {name}='<its name>'",
             )
     if subject is not None:
         own = [one for one in trials.subjects if str(one) == subject]  # "1" is a number there
         trials = trials.select(subject=own or subject)
     elif len(trials.subjects) > 1 and not together:
-        raise ValueError(
+        raise Refusal(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
-            f"({checks.listed(trials.subjects)}), and one is fitted at a time; write "
-            f"--subject {shlex.quote(str(trials.subjects[0]))}, or --together for all."
+            f"({checks.listed(trials.subjects)}), and one is fitted at a time",
+            remedy=(
+                f"write --subject {shlex.quote(str(trials.subjects[0]))}, or --together for all"
+            ),
         )
     if session is not None:
         wanted = _sessions(session)
@@ -383,14 +390,16 @@ def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:
     values = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
     length = encoding.domain[1]
     if values.max() < 0.002 * length:
-        raise ValueError(
+        raise Refusal(
             f"{trials.source}: no distance is above {values.max():.3g} mm on a whisker of "
-            f"{length:.3g} mm, as if written in metres; write millimetres."
+            f"{length:.3g} mm, as if written in metres",
+            remedy="write millimetres",
         )
     if values.max() >= length:
-        raise ValueError(
-            f"{trials.source}: the radial distance {values.max():.4g} mm is beyond the whisker's "
-            f"length of {length:.4g} mm; write millimetres, or give the whisker that was used."
+        raise Refusal(
+            f"{trials.source}: the radial distance {values.max():.4g} mm is beyond the "
+            f"whisker's length of {length:.4g} mm",
+            remedy="write millimetres, or give the whisker that was used",
         )
 
 
@@ -434,7 +443,7 @@ def next_trials(
     name = "--standard" if encoding is None else "--standard-mm"
     texts = standard if encoding is None else standard_mm
     if not texts or (standard if encoding is not None else standard_mm):
-        raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
+        raise Refusal(f"{name} says what is compared with", "none", f"write {name} 20, say")
     at = numbers(name, texts)
     limits = Constraints(nearest, farthest, step)
     checks.one_of("--goal", goal, ("weber-fraction", "taper"))
@@ -446,9 +455,10 @@ def next_trials(
     scheme = lattice(encoded, at, limits)
     if goal == "taper":
         if encoding is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
-            raise ValueError(
-                "--goal taper tells a tapered whisker from a cylinder, got none; write "
-                "--identity C2, say."
+            raise Refusal(
+                "--goal taper tells a tapered whisker from a cylinder",
+                "none",
+                "write --identity C2, say",
             )
         observer = ww.Observer(whisker.cylinder(), encoding.observer.cue, encoding.observer.noise)
         other = CueEncoding(observer, encoding.deflection_angle, encoding.unit)

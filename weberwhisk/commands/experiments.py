@@ -15,6 +15,7 @@ from .. import commands as opt
 from .._util import checks
 from .._util.campaign import all_cores
 from .._util.output import Run, atomic_write
+from .._util.refusals import Refusal
 from .._util.values import counted, pd
 from . import numbers
 
@@ -138,9 +139,10 @@ def _constraints(nearest_mm: float, farthest_mm: float | None, step_mm: float) -
     checks.non_negative("--nearest-mm", nearest_mm, "give millimetres, such as 5")
     checks.non_negative("--step-mm", step_mm, "give millimetres, such as 0.1, or 0")
     if farthest_mm is not None and not farthest_mm > nearest_mm:
-        raise ValueError(
-            f"--farthest-mm must lie beyond --nearest-mm, got {farthest_mm:g} and {nearest_mm:g}; "
-            "exchange them, say."
+        raise Refusal(
+            "--farthest-mm must lie beyond --nearest-mm",
+            f"{farthest_mm:g} and {nearest_mm:g}",
+            "exchange them, say",
         )
     farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
     return ww.design.Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3)
@@ -190,8 +192,9 @@ def rehearse(
     With --out a study that was broken off goes on where it was when the command is given again.
     """
     if not file.is_file():
-        raise ValueError(
-            f"{str(file)!r} is not a file; name the plan.json that `weberwhisk design` wrote."
+        raise Refusal(
+            f"{str(file)!r} is not a file",
+            remedy="name the plan.json that `weberwhisk design` wrote",
         )
     plan = ww.read_plan(file)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
@@ -218,9 +221,9 @@ def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ValueError(
-            f"The output folder {str(folder)!r} cannot be made ({error.strerror}); name a folder "
-            "that you may write to."
+        raise Refusal(
+            f"The output folder {str(folder)!r} cannot be made ({error.strerror})",
+            remedy="name a folder that you may write to",
         ) from error
     return folder / f"rehearsal-{hashlib.sha256(question).hexdigest()[:8]}.jsonl"
 
@@ -240,7 +243,9 @@ def analyse(
     """
     for path in (file, *data):
         if not path.is_file():
-            raise ValueError(f"{str(path)!r} is not a file; name a plan.json and tables of trials.")
+            raise Refusal(
+                f"{str(path)!r} is not a file", remedy="name a plan.json and tables of trials"
+            )
     plan = ww.read_plan(file)
     trials = rig_trials(data, plan.hypotheses[0].task)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
@@ -286,9 +291,10 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     found += ["response"] if "response" in table else []
     found = ["choice"] if "choice" in table else found
     if len(found) != 1:
-        raise ValueError(
-            f"{str(file)!r}: there is no one column of answers, got {', '.join(found) or 'none'}; "
-            "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
+        raise Refusal(
+            f"{str(file)!r}: there is no one column of answers",
+            ", ".join(found) or "none",
+            "call it choice (1 where the second was judged farther), response or <keyboard>.keys",
         )
     given = table[found[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
@@ -298,11 +304,14 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     none = "", "nan", "none", "<na>", "null", "na", "n/a"
     unknown = ~given.isin([*codes, *none]).to_numpy()
     if unknown.any():
-        raise ValueError(
+        raise Refusal(
             f"{str(file)!r}, column {found[0]!r}, {rows_in_words(places[unknown])}: "
-            f"{checks.listed(given[unknown].unique())} is no answer that is known; write "
-            f"{', '.join(code for code, second in codes.items() if not second)} where the first "
-            f"was judged farther, {', '.join(code for code, second in codes.items() if second)} "
-            "where the second, and nothing for no answer."
+            f"{checks.listed(given[unknown].unique())} is no answer that is known",
+            remedy=(
+                f"write {', '.join(code for code, second in codes.items() if not second)} "
+                "where the first was judged farther, "
+                f"{', '.join(code for code, second in codes.items() if second)} where the "
+                "second, and nothing for no answer"
+            ),
         )
     return table.assign(choice=given.map(codes))

@@ -13,6 +13,7 @@ import weberwhisk as ww
 from .. import commands as opt
 from .._util import checks
 from .._util.output import Run
+from .._util.refusals import Refusal
 from .._util.values import Array, counted, pd
 from . import a_seed, numbers, progress
 
@@ -50,9 +51,11 @@ def bend(
     named = [names for names, lists in pairs.items() if any(lists)]
     if len(named) != 1 or not all(pairs[named[0]]):
         got = " and ".join(opt.option(n) for names in pairs for n in names if options[n])
-        raise ValueError(
-            "A contact is --radial-distance-mm and --deflection-angle-deg, or --arc-length-mm and "
-            f"--force-micronewton, got {got or 'none of them'}; write both of one pair."
+        raise Refusal(
+            "A contact is --radial-distance-mm and --deflection-angle-deg, or --arc-length-mm "
+            "and --force-micronewton",
+            got or "none of them",
+            "write both of one pair",
         )
     names = named[0]
     where, much = (
@@ -256,9 +259,10 @@ def locate(
             )
             notes.append(by.message)
         elif counts or clamped:
-            raise ValueError(
-                "--counts and --clamped say how taps are read, got no --taps; write "
-                "--taps taps.csv, or leave them out."
+            raise Refusal(
+                "--counts and --clamped say how taps are read",
+                "no --taps",
+                "write --taps taps.csv, or leave them out",
             )
         table = ww.locate(
             table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
@@ -267,7 +271,7 @@ def locate(
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])
         ):
-            raise ValueError(f"--time needs a column of numbers, got {time!r}; name another.")
+            raise Refusal("--time needs a column of numbers", f"{time!r}", "name another")
         run.table("located", table)
         if touch is not None:
             own = table[table["touch_status"] != "no_touch"]

@@ -16,6 +16,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, non_negative_number, positive, positive_number
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
@@ -78,16 +79,18 @@ class AngleSideAngle(Cue):
         side = positive_number("side", self.side, "give metres, such as 10e-3")
         side_sd = non_negative_number("side_sd", self.side_sd, "give metres, 0 for a known side")
         if side_sd > side / 4:
-            raise ValueError(
-                f"side_sd must be at most a quarter of the side, got {side_sd:g} m for "
-                f"{side:g} m; a side that may be 0 does not inform of distance."
+            raise Refusal(
+                "side_sd must be at most a quarter of the side",
+                f"{side_sd:g} m for {side:g} m",
+                "a side that may be 0 does not inform of distance",
             )
         bearings = finite("bearings", self.bearings, "give (low, high) in rad")
         low, high = bearings if bearings.shape == (2,) else (np.nan, np.nan)
         if not 0 < low < high < np.pi:
-            raise ValueError(
-                f"bearings must be two that go up between 0 and π, got {bearings.tolist()}; "
-                "give them in radians."
+            raise Refusal(
+                "bearings must be two that go up between 0 and π",
+                bearings.tolist(),
+                "give them in radians",
             )
         self._set(side=side, side_sd=side_sd, bearings=(float(low), float(high)))
 
@@ -147,10 +150,10 @@ class AngleSideAngle(Cue):
         """As far as the object is reached from both places at every bearing, m."""
         farthest = self._farthest(whisker)
         if farthest <= 0:
-            raise ValueError(
-                f"No object is reached from both ends of the side at every bearing, got a side of "
-                f"{self.side:g} m and a reach of {self._reaches(whisker)[0]:g} m; "
-                "write a shorter side."
+            raise Refusal(
+                "No object is reached from both ends of the side at every bearing",
+                f"a side of {self.side:g} m and a reach of {self._reaches(whisker)[0]:g} m",
+                "write a shorter side",
             )
         return farthest
 

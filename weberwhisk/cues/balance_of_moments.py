@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, number, positive_number, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
@@ -139,14 +140,16 @@ class BalanceOfMoments(Cue):
         impact = number("impact_angle", self.impact_angle, "give radians, such as 1.05")
         low, high = whisking_range(self.whisking)
         if not low <= impact < high:
-            raise ValueError(
-                f"impact_angle must be in the range of whisking, {low:.4g} to {high:.4g} rad, got "
-                f"{impact:g}; change it or `whisking`."
+            raise Refusal(
+                f"impact_angle must be in the range of whisking, {low:.4g} to {high:.4g} rad",
+                f"{impact:g}",
+                "change it or `whisking`",
             )
         if not isinstance(self.curve, MuscleCurve):
-            raise ValueError(
-                f"curve must be a MuscleCurve, got {shown(self.curve)}; "
-                "write ww.mechanics.MuscleCurve.NORMALISED."
+            raise Refusal(
+                "curve must be a MuscleCurve",
+                shown(self.curve),
+                "write ww.mechanics.MuscleCurve.NORMALISED",
             )
         effort = self.effort
         if effort is not None:
@@ -270,9 +273,10 @@ class BalanceOfMoments(Cue):
             return forward.reach
         last = max(_last_balance(self, f, None) for f in forward.extremes())
         if last == 0:
-            raise ValueError(
+            raise Refusal(
                 f"No contact balances an effort of {self.effort:g} after an impact at "
-                f"{self.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
+                f"{self.impact_angle:.3g} rad",
+                remedy="write a smaller effort or an earlier impact",
             )
         return last
 
@@ -334,8 +338,9 @@ def whisking_range(whisking: Any) -> tuple[float, float]:
     ends = finite("whisking", whisking, "give (low, high) in radians")
     # Beyond the muscle of equation (2.2) pulls the other way.
     if ends.shape != (2,) or not 0 <= ends[0] < ends[1] < np.pi:
-        raise ValueError(
-            f"whisking must be two angles that go up between 0 and π, got {ends.tolist()}; "
-            "give (low, high) in radians."
+        raise Refusal(
+            "whisking must be two angles that go up between 0 and π",
+            ends.tolist(),
+            "give (low, high) in radians",
         )
     return float(ends[0]), float(ends[1])

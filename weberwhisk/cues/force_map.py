@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._util.checks import number, numbers, one_or_more, positive_number, refuse_hinge
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
@@ -154,9 +155,9 @@ class ForceMap(Cue):
             ordered = ForceMap([self.signal_names[i] for i in order])
             contact = ordered._solve(whisker, wanted[..., order])
         else:
-            raise ValueError(
-                f"There is no unique contact for the signals of {self!r}; write "
-                "ww.posterior(observer, reading), which needs none."
+            raise Refusal(
+                f"There is no unique contact for the signals of {self!r}",
+                remedy="write ww.posterior(observer, reading), which needs none",
             )
         lost = np.isnan(contact[..., 0])
         return contact, np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)

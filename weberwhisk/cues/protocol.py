@@ -26,6 +26,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from .._util.checks import numbers, refuse_hinge, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Value
 from ..mechanics import Profile, rest_angle
 from ..mechanics.contact import Outcome
@@ -156,17 +157,18 @@ def straight(
 ) -> None:
     """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles."""
     if not isinstance(whisker, Whisker):
-        raise ValueError(
-            "This cue needs a Whisker, straight and without friction, got a "
-            f"{type(whisker).__name__}; write ww.Whisker(50e-3, 100e-6, 5e-6), or take "
-            "ww.cues.ForceMap()."
+        raise Refusal(
+            "This cue needs a Whisker, straight and without friction",
+            f"a {type(whisker).__name__}",
+            "write ww.Whisker(50e-3, 100e-6, 5e-6), or take ww.cues.ForceMap()",
         )
     refuse_hinge(whisker, "This cue")
     if np.any(whisker.curvature):
         largest = float(np.max(np.abs(whisker.curvature)))
-        raise ValueError(
-            f"This cue is for straight whiskers, got curvature {largest:g} 1/m; "
-            f"write curvature=0, or take {instead}."
+        raise Refusal(
+            "This cue is for straight whiskers",
+            f"curvature {largest:g} 1/m",
+            f"write curvature=0, or take {instead}",
         )
 
 
@@ -174,9 +176,10 @@ def readings(name: str, value: Any, count: int) -> Array:
     """`value` as an array (..., count) for an inverse; what is infinite has none: NaN."""
     array = numbers(name, value, "give the base signals in SI units")
     if array.ndim == 0 or array.shape[-1] != count:
-        raise ValueError(
-            f"{name} must have {count} numbers along the last axis, got shape {array.shape}; "
-            "give one for each signal."
+        raise Refusal(
+            f"{name} must have {count} numbers along the last axis",
+            f"shape {array.shape}",
+            "give one for each signal",
         )
     return np.where(np.isfinite(array), array, np.nan)
 
@@ -184,7 +187,7 @@ def readings(name: str, value: Any, count: int) -> Array:
 def a_cue(value: Any) -> Cue:
     """`value` if it is a cue, else a refusal in one sentence."""
     if not isinstance(value, Cue):
-        raise ValueError(f"A cue is needed, got {shown(value)}; write ww.cues.ForceMap(), say.")
+        raise Refusal("A cue is needed", shown(value), "write ww.cues.ForceMap(), say")
     return value
 
 
@@ -203,9 +206,9 @@ def reach_at(whisker: Whisker | ForwardModel, deflection_angle: float, name: str
         return float(np.nan_to_num(last)) - deflection_angle
 
     if room(1e-6) < 0:
-        raise ValueError(
-            f"No contact holds a {name} of {np.degrees(deflection_angle):.1f} degrees; "
-            "write a smaller one."
+        raise Refusal(
+            f"No contact holds a {name} of {np.degrees(deflection_angle):.1f} degrees",
+            remedy="write a smaller one",
         )
     if room(1.0) >= 0:
         return length
@@ -251,15 +254,17 @@ class Fused(Cue):
 
     def __init__(self, *each: Cue, cues: Sequence[Cue] = ()) -> None:
         if not isinstance(cues, list | tuple):
-            raise ValueError(
-                f"cues must be a list of cues, got {shown(cues)}; write "
-                "ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say."
+            raise Refusal(
+                "cues must be a list of cues",
+                shown(cues),
+                "write ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say",
             )
         cues = (*each, *cues)
         if len(cues) < 2:
-            raise ValueError(
-                f"A fusion takes two cues or more, got {len(cues)}; "
-                "write ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say."
+            raise Refusal(
+                "A fusion takes two cues or more",
+                len(cues),
+                "write ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()), say",
             )
         self._set(cues=tuple(map(a_cue, cues)))
 
@@ -355,9 +360,10 @@ class Fused(Cue):
             For other than one for each cue.
         """
         if len(noises) != len(self.cues):
-            raise ValueError(
-                f"Each of the {len(self.cues)} cues needs one noise model, got {len(noises)}; "
-                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.05)), say."
+            raise Refusal(
+                f"Each of the {len(self.cues)} cues needs one noise model",
+                len(noises),
+                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.05)), say",
             )
         return Joint(noises, [len(cue.signal_names) for cue in self.cues])
 

@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._util.checks import non_negative_number, positive_number, whole
+from .._util.refusals import Refusal
 from .._util.values import Array
 from ..mechanics import closed_form, modes
 from ..mechanics.contact import Outcome
@@ -162,10 +163,10 @@ class Compliance(Cue):
         velocity = self.angular_velocity if angular_velocity is None else angular_velocity
         forward, rate = forward_of(whisker), np.asarray(moment_rate, dtype=float)
         if self.tap_angle > 0 or not forward.is_plain:
-            raise ValueError(
-                f"Equation (2.1) is of a light tap on a straight whisker, got {self!r} and "
-                f"{whisker}; write ww.posterior(observer, reading), which "
-                "needs no inverse."
+            raise Refusal(
+                "Equation (2.1) is of a light tap on a straight whisker",
+                f"{self!r} and {whisker}",
+                "write ww.posterior(observer, reading), which needs no inverse",
             )
         # What the hinge does not take up.
         bending = np.asarray(velocity) - forward.hinge_compliance * rate
@@ -236,13 +237,13 @@ class Vibration(Cue):
         hint = "write 3, or impulse= for one mode"
         count = whole("count", self.count, hint)
         if not least <= count <= 12:
-            raise ValueError(f"count must be {least} to 12, got {count}; {hint}.")
+            raise Refusal(f"count must be {least} to 12", count, hint)
         if self.impulse is not None:
             unit = "give newton seconds, such as 1e-9, or None where it is unknown"
             self._set(impulse=positive_number("impulse", self.impulse, unit))
         zeta = non_negative_number("damping_ratio", self.damping_ratio, "give a share, 0.05 say")
         if zeta >= 1:
-            raise ValueError(f"damping_ratio must be below 1, got {zeta:g}; write 0.05.")
+            raise Refusal("damping_ratio must be below 1", f"{zeta:g}", "write 0.05")
         self._set(count=count, phase=bool(self.phase), damping_ratio=zeta)
 
     @cached_property

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from .._util.checks import number, one_or_more, positive_number, refuse_hinge, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
@@ -40,18 +41,20 @@ class _Wrapped(Cue):
     def _wrap(self, cue: Any, **values: Any) -> None:
         """Give fields their values; refuse what is no cue, and one that has the unknown."""
         if self.unknown in a_cue(cue).unknowns:
-            raise ValueError(
-                f"The {self.unknown} is unknown in {cue!r} already; leave it as it is."
+            raise Refusal(
+                f"The {self.unknown} is unknown in {cue!r} already", remedy="leave it as it is"
             )
         self._set(cue=cue, **values)
 
     def _refuse_straight(self) -> None:
         """Refuse cues that take neither friction nor curvature."""
         if not self.cue.takes_curved:
-            raise ValueError(
-                f"{self.cue!r} is for whiskers without friction whose shape is known; write "
-                "ww.cues.ForceMap(), ww.cues.Compliance() or ww.cues.BalanceOfMoments(), or a "
-                "fusion of them."
+            raise Refusal(
+                f"{self.cue!r} is for whiskers without friction whose shape is known",
+                remedy=(
+                    "write ww.cues.ForceMap(), ww.cues.Compliance() or "
+                    "ww.cues.BalanceOfMoments(), or a fusion of them"
+                ),
             )
 
     @property
@@ -171,15 +174,17 @@ class Friction(_Wrapped):
             angle = number("angle", angle, "give radians, such as -0.2, or None where unknown")
             # Angles themselves: the tangent of 9, which is 9° passed as radians, is small.
             if abs(angle) > _LARGEST_FRICTION:
-                raise ValueError(
-                    f"angle must be up to 30° either way, got {angle:g} rad; write radians, such "
-                    f"as np.radians({angle:g}) of degrees."
+                raise Refusal(
+                    "angle must be up to 30° either way",
+                    f"{angle:g} rad",
+                    f"write radians, such as np.radians({angle:g}) of degrees",
                 )
         largest = positive_number("coefficient", coefficient, "give µ, such as 0.48")
         if np.arctan(largest) > _LARGEST_FRICTION:
-            raise ValueError(
-                f"coefficient must be at most 0.577, of a friction angle up to 30°, got "
-                f"{largest:g}; write 0.48, say."
+            raise Refusal(
+                "coefficient must be at most 0.577, of a friction angle up to 30°",
+                f"{largest:g}",
+                "write 0.48, say",
             )
         self._wrap(cue, angle=angle, coefficient=largest)
         self._refuse_straight()
@@ -284,9 +289,10 @@ class UnknownHinge(_Wrapped):
     def _median(self, whisker: Any) -> float:
         forward = forward_of(whisker)
         if not forward.is_hinged:
-            raise ValueError(
-                "UnknownHinge needs a whisker on a hinge, got a clamped base; write "
-                "ww.Whisker(..., hinge_stiffness=2e-5), the median of the prior in N m/rad."
+            raise Refusal(
+                "UnknownHinge needs a whisker on a hinge",
+                "a clamped base",
+                "write ww.Whisker(..., hinge_stiffness=2e-5), the median of the prior in N m/rad",
             )
         return float(forward.whisker.hinge_stiffness)
 
@@ -342,10 +348,11 @@ class UnknownRoll(_Wrapped):
 
     def __init__(self, cue: SpaceMap, spread: float) -> None:
         if not isinstance(cue, SpaceMap):
-            raise ValueError(
-                f"Only a SpaceMap informs of the roll, got {shown(cue)}; write "
-                "ww.cues.UnknownRoll(ww.cues.SpaceMap(), 0.3), and a known roll as "
-                "ww.cues.SpaceMap(roll=0.3)."
+            raise Refusal(
+                "Only a SpaceMap informs of the roll",
+                shown(cue),
+                "write ww.cues.UnknownRoll(ww.cues.SpaceMap(), 0.3), and a known roll "
+                "as ww.cues.SpaceMap(roll=0.3)",
             )
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
 
@@ -423,17 +430,21 @@ class UnknownStiffness(_Wrapped):
         spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
         names = a_cue(cue).signal_names
         if isinstance(cue, UnknownRoll):
-            raise ValueError(
-                f"{cue!r} has four unknowns, and sums over five take too long; give the "
-                "stiffness, or the roll as ww.cues.UnknownStiffness(ww.cues.SpaceMap(roll=0.3))."
+            raise Refusal(
+                f"{cue!r} has four unknowns, and sums over five take too long",
+                remedy=(
+                    "give the stiffness, or the roll as "
+                    "ww.cues.UnknownStiffness(ww.cues.SpaceMap(roll=0.3))"
+                ),
             )
         if soft_signals is None:
             # The signals of a fusion are numbered where a name comes twice.
             soft_signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
             if not soft_signals:
-                raise ValueError(
+                raise Refusal(
                     f"Of the signals of {cue!r} ({', '.join(names)}) none is a force or a "
-                    "moment that goes with the stiffness; use the cue as it is."
+                    "moment that goes with the stiffness",
+                    remedy="use the cue as it is",
                 )
         soft = one_or_more("signals", soft_signals, names)
         self._wrap(cue, spread=spread, soft_signals=soft)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from .._util.checks import finite, non_negative_number, positive, positive_number, whole
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import Events
@@ -90,13 +91,14 @@ class VibrissaLength(Cue):
         )
         for name in ("damage", "tip_zone"):
             if getattr(self, name) >= 1:
-                raise ValueError(
-                    f"{name} must be below 1, got {getattr(self, name):g}; write 0.1, say."
+                raise Refusal(
+                    f"{name} must be below 1", f"{getattr(self, name):g}", "write 0.1, say"
                 )
         if self.reach <= 1:
-            raise ValueError(
-                f"Objects must be possible beyond the whisker's tip, got reach={self.reach:g}; "
-                "write 1.5, say."
+            raise Refusal(
+                "Objects must be possible beyond the whisker's tip",
+                f"reach={self.reach:g}",
+                "write 1.5, say",
             )
 
     def _missing(self, whisker: Whisker, r: Array) -> Array:
@@ -246,21 +248,24 @@ class ComparativeLength(Cue):
         bases = finite("bases", bases, "give metres, a row for each neighbour")
         count = lengths.size + 1
         if not 2 <= count <= 8 or lengths.ndim > 1:  # 2⁸ patterns of touch
-            raise ValueError(
-                f"An array has 1 to 7 neighbours, got lengths of shape "
-                f"{lengths.shape}; give one length for each."
+            raise Refusal(
+                "An array has 1 to 7 neighbours",
+                f"lengths of shape {lengths.shape}",
+                "give one length for each",
             )
         if bases.shape != (count - 1, 2):
-            raise ValueError(
-                f"bases must have shape ({count - 1}, 2), got {bases.shape}; "
-                "give x and y for each neighbour."
+            raise Refusal(
+                f"bases must have shape ({count - 1}, 2)",
+                bases.shape,
+                "give x and y for each neighbour",
             )
         ends = np.tile([-np.pi / 2, np.pi / 2], (count, 1)) if sweeps is None else sweeps
         sweeps = finite("sweeps", ends, "give radians, a row for each whisker")
         if sweeps.shape != (count, 2) or np.any(sweeps[:, 0] >= sweeps[:, 1]):
-            raise ValueError(
-                f"sweeps must be {count} rows of (low, high), the observer's own whisker first, "
-                f"got {sweeps.tolist()}; give radians that go up."
+            raise Refusal(
+                f"sweeps must be {count} rows of (low, high), the observer's own whisker first",
+                sweeps.tolist(),
+                "give radians that go up",
             )
         metres = "give metres, 1e-3 say"
         self._set(
@@ -377,9 +382,10 @@ class ComparativeLength(Cue):
         """
         pattern = finite("touches", touches, "give 0 or 1 for each whisker")
         if not np.any((pattern == self.reports).all(axis=-1)):
-            raise ValueError(
-                f"touches must be {self.reports.shape[1]} numbers, 0 or 1, got {pattern.tolist()}; "
-                "write 1 for each whisker that touches."
+            raise Refusal(
+                f"touches must be {self.reports.shape[1]} numbers, 0 or 1",
+                pattern.tolist(),
+                "write 1 for each whisker that touches",
             )
         x, y = np.concatenate([np.zeros((1, 2)), self.bases]).T
         lengths, (low, high) = self._lengths(whisker), self.sweeps.T

@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, rel_entr
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, counted, density_quantiles
 from ..behaviour.priors import SPREAD
 from ..behaviour.psychometric import difference_sd
@@ -92,14 +93,15 @@ def best_scheme(
         checks.whole(name, number, "write 3")
     each = trials // (2 * pairs * standards)
     if each < 1:
-        raise ValueError(
+        raise Refusal(
             f"{trials} trials are fewer than the {2 * pairs * standards} levels of {standards} "
-            f"standards with {pairs} pairs, {2 * pairs * standards - trials} short; give more."
+            f"standards with {pairs} pairs, {2 * pairs * standards - trials} short",
+            remedy="give more",
         )
     if standards >= PLACES:
-        raise ValueError(f"standards must be below {PLACES}, got {standards}; write 3, say.")
+        raise Refusal(f"standards must be below {PLACES}", standards, "write 3, say")
     ends = _range(given, limits)
-    tried: dict[Choice, tuple[float, Scheme | str]] = {}
+    tried: dict[Choice, tuple[float, Scheme | Refusal]] = {}
 
     def value(choice: Choice) -> float:
         """What is expected of a choice; minus infinity where rig or observers rule it out."""
@@ -109,8 +111,8 @@ def best_scheme(
                 for h in given:
                     limits.check(scheme, h.encoding)
                 tried[choice] = _expected(scheme, given, aim, likely), scheme
-            except ValueError as error:
-                tried[choice] = -np.inf, str(error)
+            except Refusal as error:
+                tried[choice] = -np.inf, error
         return tried[choice][0]
 
     even = np.linspace(0, PLACES - 1, standards + 2)[1:-1].round().astype(int)
@@ -123,9 +125,10 @@ def best_scheme(
             ways = [(*best[:i], j, *best[i + 1 :]) for j in range(size)]
             ways = [way for way in ways if len({*way[:standards]}) == standards]
             best = max([best, *ways], key=value)
+    even_scheme = tried[start][1]
     found = [s for c in dict.fromkeys((start, best)) if isinstance(s := tried[c][1], Scheme)]
-    if not found:
-        raise ValueError(tried[start][1])
+    if isinstance(even_scheme, Refusal) and not found:
+        raise even_scheme
     return max(found, key=lambda s: _simulated(s, given, aim, likely, runs, seed))
 
 
@@ -134,10 +137,10 @@ def _range(hypotheses: Sequence[Hypothesis], limits: Constraints) -> tuple[float
     low = max(limits.nearest, max(h.encoding.domain[0] for h in hypotheses))
     high = min(limits.farthest, min(h.encoding.domain[1] for h in hypotheses))
     if not (np.isfinite(high) and low < high):
-        raise ValueError(
-            f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can be "
-            f"encoded, which ends at {high:g}, {low - high:.3g} before it begins; give "
-            "ww.design.Constraints(nearest=..., farthest=...)."
+        raise Refusal(
+            f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can "
+            f"be encoded, which ends at {high:g}, {low - high:.3g} before it begins",
+            remedy="give ww.design.Constraints(nearest=..., farthest=...)",
         )
     return low, high
 
@@ -160,9 +163,10 @@ def _scheme(
         levels = np.unique(limits.positions(s + wide * np.concatenate([-ratios, ratios])))
         rows.append([float(f"{v - s:.12g}") for v in levels if abs(v - s) > 1e-9 * s])
     if standards.size < len(at) or any(len(row) < 2 * pairs for row in rows):
-        raise ValueError(
-            f"steps of {limits.step:g} leave fewer than standards={len(at)} with pairs={pairs} of "
-            f"offsets between {low:g} and {high:g}; take finer steps, a wider range or fewer."
+        raise Refusal(
+            f"steps of {limits.step:g} leave fewer than standards={len(at)} with pairs={pairs} "
+            f"of offsets between {low:g} and {high:g}",
+            remedy="take finer steps, a wider range or fewer",
         )
     return Scheme(standards, rows, each, count)
 
@@ -223,21 +227,23 @@ def refuse_impossible(
             fewest = fewest_animals(hypotheses[0], expected, goal)
             reached = float(np.quantile(widths, goal.share))
             more = "" if fewest is None else f"animals={fewest} or more, or "
-            raise ValueError(
+            raise Refusal(
                 f"{start}: were the k of each of {counted(largest.animals, 'animal')} known "
-                f"exactly, with ln k spread by {expected.spread:g} between animals, the interval "
-                f"would be narrow enough in {100 * share:.2g} % of experiments; write {more}"
-                f"half_width={np.ceil(100 * reached) / 100:.2g}."
+                f"exactly, with ln k spread by {expected.spread:g} between animals, the "
+                f"interval would be narrow enough in {100 * share:.2g} % of experiments",
+                remedy=f"write {more}half_width={np.ceil(100 * reached) / 100:.2g}",
             )
         return
     if vary != "trials" or (goal.bayes_factor is not None and goal.share < 0.5):
         return
     needed, words = trials_needed(scheme, hypotheses, goal, expected)
     if needed > most:
-        raise ValueError(
+        raise Refusal(
             f"{start}: {words}, which takes {needed:.0f} trials a comparison were nothing else "
-            "unknown; set the standards farther apart, take more of them or of animals, or ask "
-            "for less."
+            "unknown",
+            remedy=(
+                "set the standards farther apart, take more of them or of animals, or ask for less"
+            ),
         )
 
 

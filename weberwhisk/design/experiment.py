@@ -18,6 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import campaign, checks
+from .._util.refusals import Refusal
 from .._util.values import Array
 from ..behaviour.encodings import CueEncoding, Encoding
 from ..behaviour.simulate import simulate_responses
@@ -141,37 +142,45 @@ def plan_experiment(
         ("constraints", limits, Constraints),
     ):  # fmt: skip
         if not isinstance(value, kind):
-            raise ValueError(
-                f"{name} must be {kind.__name__}, got {checks.shown(value)}; leave it out, say."
+            raise Refusal(
+                f"{name} must be {kind.__name__}", checks.shown(value), "leave it out, say"
             )
     if scheme is not None and (trials, standards) != (None, None):
-        raise ValueError("A scheme has its standards and trials; leave standards and trials out.")
+        raise Refusal(
+            "A scheme has its standards and trials", remedy="leave standards and trials out"
+        )
     if scheme is not None and animals not in (1, scheme.animals):
-        raise ValueError(
-            f"A scheme has its animals, got {scheme.animals} and animals={animals}; write "
-            f"scheme.with_animals({animals})."
+        raise Refusal(
+            "A scheme has its animals",
+            f"{scheme.animals} and animals={animals}",
+            f"write scheme.with_animals({animals})",
         )
     asked = question or ("whiskers" if aim.half_width is None else "precision")
     if (asked == "precision") != (aim.half_width is not None):
-        raise ValueError(
-            f"The question {asked!r} is not answered by {aim}; write "
-            "ww.design.Goal(half_width=0.2) for a precision, "
-            "ww.design.Goal(bayes_factor=10) for the others."
+        raise Refusal(
+            f"The question {asked!r} is not answered by {aim}",
+            remedy=(
+                "write ww.design.Goal(half_width=0.2) for a precision, "
+                "ww.design.Goal(bayes_factor=10) for the others"
+            ),
         )
     if hypotheses is None:
         given = _hypotheses(shape, asked, cue, deflection_angle, task, standards)
     elif (question, cue, deflection_angle, task) == (None, None, None, None):
         given = hypotheses
     else:
-        raise ValueError(
-            "Hypotheses have their question, cues and task, got hypotheses and one of these; leave "
-            "one out."
+        raise Refusal(
+            "Hypotheses have their question, cues and task",
+            "hypotheses and one of these",
+            "leave one out",
         )
     wanted = _what_to_find(find, trials is not None or scheme is not None)
     own: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
         if scheme is not None or standards is not None:
-            raise ValueError("best=True chooses the standards; leave scheme and standards out.")
+            raise Refusal(
+                "best=True chooses the standards", remedy="leave scheme and standards out"
+            )
         scheme = best_scheme(given, **own, expected=likely, animals=animals)
         scheme = scheme if trials is None else scheme.with_trials(trials)
     if scheme is None:
@@ -218,12 +227,11 @@ def _what_to_find(find: str | None, decided: bool) -> str:
         return "nothing" if decided else "trials"
     checks.one_of("find", find, ("trials", "animals", "nothing"))
     if find == "animals" and not decided:
-        raise ValueError(
-            "The number of animals is found for so many trials each, got none; write trials=20, "
-            "say."
+        raise Refusal(
+            "The number of animals is found for so many trials each", "none", "write trials=20, say"
         )
     if find == "nothing" and not decided:
-        raise ValueError("Trials are given or found, got neither; write trials=20, or leave find.")
+        raise Refusal("Trials are given or found", "neither", "write trials=20, or leave find")
     return find
 
 
@@ -238,14 +246,16 @@ def _hypotheses(
     task = task or "2AFC"
     if question == "whiskers":
         if cue is not None and not (isinstance(cue, Compliance) and cue.tap_angle == 0):
-            raise ValueError(
-                f"Taper is tested by the compliance cue at the lightest tap, got {cue!r}; leave "
-                "cue out, or give the hypotheses."
+            raise Refusal(
+                "Taper is tested by the compliance cue at the lightest tap",
+                f"{cue!r}",
+                "leave cue out, or give the hypotheses",
             )
         if deflection_angle is not None:
-            raise ValueError(
-                "Taper is tested by the compliance cue, which has no deflection angle, got "
-                f"{deflection_angle!r}; leave it out."
+            raise Refusal(
+                "Taper is tested by the compliance cue, which has no deflection angle",
+                f"{deflection_angle!r}",
+                "leave it out",
             )
         return taper(whisker, task=task)
     encoding = CueEncoding(Observer(whisker, cue or Compliance()), deflection_angle)

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     ConstantNoise,
@@ -76,9 +77,10 @@ class Hypothesis(Fields):
         )
         checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
-            raise ValueError(
-                f"{self.task} has no response bias to fit, got bias={self.bias!r}; write "
-                'bias="none".'
+            raise Refusal(
+                f"{self.task} has no response bias to fit",
+                f"bias={self.bias!r}",
+                'write bias="none"',
             )
         object.__setattr__(self, "priors", of_task(self.priors, self.asked))
 
@@ -178,9 +180,10 @@ def taper(whisker: Whisker, *, unit: float = 1.0, **options: Any) -> tuple[Hypot
     """
     _check_whisker(whisker)
     if whisker.tip_radius >= whisker.base_radius:
-        raise ValueError(
-            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
-            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
+        raise Refusal(
+            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as "
+            f"thick as its base ({whisker.base_radius:g} m)",
+            remedy="give one whose tip is thinner",
         )
     one, other = (
         CueEncoding(Observer(w, Compliance()), unit=unit) for w in (whisker, whisker.cylinder())
@@ -249,11 +252,12 @@ def noises(
     refuse_out_of_reach(encoding, at, "standard")
     sd = encoding.sd_per_weber_fraction(at)
     if sd.size < 2:
-        raise ValueError(f"standards must be two or more, got {sd.size}; give some far apart.")
+        raise Refusal("standards must be two or more", sd.size, "give some far apart")
     if np.ptp(sd) <= 1e-9 * sd.max():
-        raise ValueError(
-            f"the encoding has the same noise, {sd.max():g}, at all {sd.size} standards, so the "
-            "two kinds of noise are one; give standards far apart."
+        raise Refusal(
+            f"the encoding has the same noise, {sd.max():g}, at all {sd.size} standards, so "
+            "the two kinds of noise are one",
+            remedy="give standards far apart",
         )
     typical = float(np.exp(np.mean(np.log(sd))))
     return (
@@ -271,15 +275,14 @@ def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         )
     names = [h.name for h in given]
     if not given:
-        raise ValueError(
-            "a design needs a hypothesis, got none; write ww.design.taper(whisker), say."
-        )
+        raise Refusal("a design needs a hypothesis", "none", "write ww.design.taper(whisker), say")
     if len(set(names)) < len(names):
-        raise ValueError(f"hypotheses need names of their own, got {names}; rename one.")
+        raise Refusal("hypotheses need names of their own", names, "rename one")
     if len({h.task for h in given}) > 1:
-        raise ValueError(
-            f"hypotheses are about one experiment, got tasks {[h.task for h in given]}; give all "
-            "the same."
+        raise Refusal(
+            "hypotheses are about one experiment",
+            f"tasks {[h.task for h in given]}",
+            "give all the same",
         )
     return given
 
@@ -289,9 +292,10 @@ def check_metres(hypotheses: Sequence[Hypothesis]) -> None:
     for h in hypotheses:
         unit = getattr(getattr(h.encoding, "base", h.encoding), "unit", 1.0)
         if unit != 1.0:
-            raise ValueError(
-                f"a plan has distances in metres, got {h.name!r} with an encoding in units of "
-                f"{unit:g} m; leave its unit= out, and give standards and offsets in metres."
+            raise Refusal(
+                "a plan has distances in metres",
+                f"{h.name!r} with an encoding in units of {unit:g} m",
+                "leave its unit= out, and give standards and offsets in metres",
             )
 
 
@@ -372,17 +376,16 @@ class Goal(Fields):
 
     def __post_init__(self) -> None:
         if (self.bayes_factor is None) == (self.half_width is None):
-            raise ValueError(
-                "A goal is a Bayes factor or the width of an interval, got "
-                f"{'both' if self.bayes_factor else 'neither'}; write one of them."
+            raise Refusal(
+                "A goal is a Bayes factor or the width of an interval",
+                "both" if self.bayes_factor else "neither",
+                "write one of them",
             )
         checks.between("share", self.share, "write 0.8, say")
         if self.half_width is not None:
             checks.between("half_width", self.half_width, "write 0.2")
         elif not checks.number("bayes_factor", self.bayes_factor or 0.0, "write 10, say") > 1:
-            raise ValueError(
-                f"bayes_factor must be above 1, got {self.bayes_factor:g}; write 10, say."
-            )
+            raise Refusal("bayes_factor must be above 1", f"{self.bayes_factor:g}", "write 10, say")
 
     def __str__(self) -> str:
         often = f"in {100 * self.share:.3g} % of experiments"
@@ -404,9 +407,10 @@ def check_goal(
     if aim.bayes_factor is None:
         refuse_given_k(given, f"the goal is {aim}")
     elif len(given) < 2:
-        raise ValueError(
-            f"A Bayes factor compares two hypotheses, got {given[0].name!r} alone; give another, "
-            "or ww.design.Goal(half_width=0.2)."
+        raise Refusal(
+            "A Bayes factor compares two hypotheses",
+            f"{given[0].name!r} alone",
+            "give another, or ww.design.Goal(half_width=0.2)",
         )
     return given, aim
 
@@ -415,19 +419,20 @@ def refuse_given_k(hypotheses: Sequence[Hypothesis], what: str) -> None:
     """Refuses to wait for the interval of a Weber fraction that is given."""
     for h in hypotheses:
         if h.priors.is_fixed("weber_fraction"):
-            raise ValueError(
-                f"{what}, and {h.name!r} is given its Weber fraction, {h.weber_fraction:g}, which "
-                "no trials make surer; leave weber_fraction out of its priors, or ask for a Bayes "
-                "factor."
+            raise Refusal(
+                f"{what}, and {h.name!r} is given its Weber fraction, {h.weber_fraction:g}, "
+                "which no trials make surer",
+                remedy="leave weber_fraction out of its priors, or ask for a Bayes factor",
             )
 
 
 def check_task(task: str) -> None:
     """Refuses what no trial list is made for."""
     if task not in (*TWO_STIMULI, *ONE_STIMULUS):
-        raise ValueError(
-            f"Trial lists are made for one or two stimuli a trial, got the task {task!r}; write "
-            "2AFC, 2IFC, yes/no or go/no-go."
+        raise Refusal(
+            "Trial lists are made for one or two stimuli a trial",
+            f"the task {task!r}",
+            "write 2AFC, 2IFC, yes/no or go/no-go",
         )
 
 
@@ -437,12 +442,14 @@ def check_answers(trials: Trials, task: str, animals: int) -> None:
     if asked != task and not any(
         {asked, task} <= {*alike} for alike in (TWO_STIMULI, ONE_STIMULUS)
     ):
-        raise ValueError(
-            f"{trials.source}: the plan is of {task}, got trials of {asked}; write "
-            f"ww.read_trials(table, task={task!r})."
+        raise Refusal(
+            f"{trials.source}: the plan is of {task}",
+            f"trials of {asked}",
+            f"write ww.read_trials(table, task={task!r})",
         )
     if animals > 1 and not trials.subjects:
-        raise ValueError(
-            f"{trials.source}: the plan is of {animals} animals, got no column 'subject'; write "
-            "in it whose trial each row is."
+        raise Refusal(
+            f"{trials.source}: the plan is of {animals} animals",
+            "no column 'subject'",
+            "write in it whose trial each row is",
         )

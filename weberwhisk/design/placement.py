@@ -18,6 +18,7 @@ import pandas as pd
 from scipy.special import softmax
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields, Line, counted
 from ..behaviour.encodings import LogEncoding
 from ..behaviour.estimates import tails
@@ -96,9 +97,9 @@ class TrialLog(Line):
         known = self._proposal
         if known is None or standard not in (None, known.standard):
             if standard is not None and standard not in self.scheme.standards:
-                raise ValueError(
-                    f"the scheme has no standard {standard:g}; choose one of "
-                    f"{', '.join(f'{s:g}' for s in self.scheme.standards)}."
+                raise Refusal(
+                    f"the scheme has no standard {standard:g}",
+                    remedy=(f"choose one of {', '.join(f'{s:g}' for s in self.scheme.standards)}"),
                 )
             number = len(self._rows) + 1
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
@@ -120,9 +121,9 @@ class TrialLog(Line):
         pair = float(standard), float(comparison), near
         self._encode(pair)
         if choice is not None and choice == choice and choice not in (0, 1):
-            raise ValueError(
-                f"choice must be 1 ({self.hypotheses[0].asked.answer}), 0, or None for no answer, "
-                f"got {choice!r}."
+            raise Refusal(
+                f"choice must be 1 ({self.hypotheses[0].asked.answer}), 0, or None for no answer",
+                f"{choice!r}",
             )
         return pair
 
@@ -247,9 +248,9 @@ class BayesianPlacer(TrialLog):
         super().__init__(several, scheme, seed)
         self.goal = checks.one_of("goal", goal, GOALS)
         if goal == "hypothesis" and len(self.hypotheses) < 2:
-            raise ValueError(
-                "one hypothesis cannot be distinguished from others; write "
-                "ww.design.taper(whisker), say."
+            raise Refusal(
+                "one hypothesis cannot be distinguished from others",
+                remedy="write ww.design.taper(whisker), say",
             )
         checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
         if width is not None:
@@ -357,9 +358,10 @@ def next_trial(
     placer = BayesianPlacer(hypotheses, scheme, **options)
     check_answers(trials, placer.hypotheses[0].task, 1)
     if len(trials.subjects) > 1:
-        raise ValueError(
-            f"{trials.source}: trials are placed for one animal, got {len(trials.subjects)} "
-            f"subjects; write trials.select(subject={trials.subjects[0]!r}), say."
+        raise Refusal(
+            f"{trials.source}: trials are placed for one animal",
+            f"{len(trials.subjects)} subjects",
+            f"write trials.select(subject={trials.subjects[0]!r}), say",
         )
     names = "stimulus_1", "stimulus_2", "n", "count", "standard"
     columns = [trials.frame[c].to_numpy(float) for c in names]

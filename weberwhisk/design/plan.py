@@ -18,6 +18,7 @@ from scipy.stats import binom
 
 from .._util import checks
 from .._util.output import csv_text, versions_in_words
+from .._util.refusals import Refusal
 from .._util.values import Array, Shown, counted, interval_text, paragraphs
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, PopulationStatus, fit_population
@@ -224,9 +225,10 @@ def _apart(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> Ana
 
 def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
     if len(trials.subjects) < 2:
-        raise ValueError(
-            f"{trials.source}: animals are fitted together where there are two or more, got "
-            f"{len(trials.subjects)}; write together=False."
+        raise Refusal(
+            f"{trials.source}: animals are fitted together where there are two or more",
+            len(trials.subjects),
+            "write together=False",
         )
     fits = {h.name: fit_population(trials, check=check, **options_of(h)) for h in hypotheses}
     names = [status.name for status in LEFT_OUT]
@@ -309,9 +311,10 @@ class Plan(Shown):
             ("constraints", Constraints), ("title", str),
         ):  # fmt: skip
             if not isinstance(getattr(self, name), kind):
-                raise ValueError(
-                    f"{name} must be a {kind.__name__}, got {checks.shown(getattr(self, name))}; "
-                    "make one first."
+                raise Refusal(
+                    f"{name} must be a {kind.__name__}",
+                    checks.shown(getattr(self, name)),
+                    "make one first",
                 )
         for name in ("trials_per_session", "longest_run", "seed"):
             least = {"longest_run": 2, "seed": 0}.get(name, 1)
@@ -321,11 +324,13 @@ class Plan(Shown):
         check_task(first.task)
         check_goal(self.hypotheses, self.goal)
         if self.together and self.scheme.animals < 2:
-            raise ValueError("One animal cannot be fitted together with others; give two or more.")
+            raise Refusal(
+                "One animal cannot be fitted together with others", remedy="give two or more"
+            )
         if self.together and any(h.priors.is_fixed("weber_fraction") for h in self.hypotheses):
-            raise ValueError(
-                "A Weber fraction that is given is not learnt from several animals; write "
-                "together=False."
+            raise Refusal(
+                "A Weber fraction that is given is not learnt from several animals",
+                remedy="write together=False",
             )
         check_metres(self.hypotheses)
         self.constraints.check(self.scheme, first.encoding)
@@ -432,9 +437,12 @@ class Plan(Shown):
         planned = np.median(self.scheme.cells().stimulus_2)
         ratio = float(unit * trials.frame["stimulus_2"].median() / planned)
         if planned > 0 and not 1 / 8 < ratio < 8:
-            raise ValueError(
-                f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned; check "
-                "their unit: trial lists have mm, in columns called stimulus_1_mm and the like."
+            raise Refusal(
+                f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned",
+                remedy=(
+                    "check their unit: trial lists have mm, in columns called "
+                    "stimulus_1_mm and the like"
+                ),
             )
         found = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
         return replace(found, plan=self)

@@ -19,6 +19,7 @@ from scipy import stats
 
 from .. import __version__, cues, receptors
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, counted, paragraphs
 from ..behaviour import encodings
 from ..behaviour.priors import Priors
@@ -100,12 +101,14 @@ def plain(value: Any) -> Any:
         return {"is": value.dist.name, "args": plain(value.args), "kwds": plain(value.kwds)}
     kind = type(value)
     if CLASSES.get(kind.__name__) is not kind:
-        raise ValueError(f"{value!r} cannot be written to a plan; make it of {', '.join(CLASSES)}.")
+        raise Refusal(
+            f"{value!r} cannot be written to a plan", remedy=f"make it of {', '.join(CLASSES)}"
+        )
     parts = {name: getattr(value, name) for name in _kept(kind)}
     if kind is Observer and value != replace(value, prior={}, tolerance=0.1):
-        raise ValueError(
-            f"{value!r} has a prior or a tolerance of its own, which a plan does not keep; leave "
-            "it out."
+        raise Refusal(
+            f"{value!r} has a prior or a tolerance of its own, which a plan does not keep",
+            remedy="leave it out",
         )
     return {"is": kind.__name__} | {name: plain(part) for name, part in parts.items()}
 
@@ -124,14 +127,14 @@ def _reader() -> Converter:
 
     def exact(value: Any, kind: type) -> Any:
         if type(value) is not kind:
-            raise ValueError(f"{checks.shown(value)} is no {kind.__name__}")
+            raise Refusal(f"{checks.shown(value)} is no {kind.__name__}")
         return value
 
     def number(value: Any, _: type, most: float = 1e30) -> float:
         if value in ("inf", "-inf"):
             return float(value)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < most:
-            raise ValueError(f"{checks.shown(value)} is no number")
+            raise Refusal(f"{checks.shown(value)} is no number")
         return value
 
     def array(value: Any, _: type) -> Any:
@@ -148,22 +151,22 @@ def _reader() -> Converter:
         kind = next((one for one in get_args(kind) if one in CHOICES), kind)
         made = CLASSES.get(str(value.get("is"))) if isinstance(value, dict) else None
         if made is None or made not in CHOICES.get(kind, (kind,)):
-            raise ValueError(f"{checks.shown(value)} is no {kind.__name__}")
+            raise Refusal(f"{checks.shown(value)} is no {kind.__name__}")
         parts = {name: part for name, part in value.items() if name != "is"}
         for strange in parts.keys() ^ set(_kept(made)):
             words = "has nothing called" if strange in parts else "lacks"
-            raise ValueError(f"{made.__name__} {words} {strange!r}")
+            raise Refusal(f"{made.__name__} {words} {strange!r}")
         types = get_type_hints(made, localns=CLASSES)
         found = {}
         for name, part in parts.items():
             try:
                 found[name] = reader.structure(part, types[name])
             except Exception as error:
-                raise ValueError(f"{name} of {made.__name__}: {_in_words(error)}") from None
+                raise Refusal(f"{name} of {made.__name__}: {_in_words(error)}") from None
         try:
             return cues.Fused(*found["cues"]) if made is cues.Fused else made(**found)
         except (TypeError, OverflowError) as error:
-            raise ValueError(f"{made.__name__} cannot be made of these ({error})") from None
+            raise Refusal(f"{made.__name__} cannot be made of these ({error})") from None
 
     def identity(value: Any, kind: type) -> Any:
         types = get_type_hints(kind).values()
@@ -197,7 +200,7 @@ def _frozen(value: dict[str, Any]) -> Any:
     name, args, kwds = value.get("is"), value.get("args"), value.get("kwds")
     distribution = getattr(stats, name, None) if isinstance(name, str) else None
     if not isinstance(distribution, stats.rv_continuous) or len(value) != 3:
-        raise ValueError(f"{checks.shown(value)} is nothing that this version knows")
+        raise Refusal(f"{checks.shown(value)} is nothing that this version knows")
     numbers = _reader().structure(args, list[float])
     named = _reader().structure(kwds, dict[str, float])
     try:
@@ -205,9 +208,9 @@ def _frozen(value: dict[str, Any]) -> Any:
         with np.errstate(all="ignore"):
             found = made.ppf([0.02, 0.5, 0.98])
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
+        raise Refusal(f"{name} cannot be made of {args} and {kwds} ({error})") from None
     if not (np.isfinite(found).all() and np.all(np.diff(found) > 0)):
-        raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
+        raise Refusal(f"{name} has no quantiles with {args} and {kwds}")
     return made
 
 
@@ -236,7 +239,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     True
     """
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(f"path must name a file, got {checks.shown(path)}; write plan.json.")
+        raise Refusal("path must name a file", checks.shown(path), "write plan.json")
     return plan_of(Path(path).read_bytes(), os.fspath(path))
 
 
@@ -245,22 +248,22 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     try:
         record = json.loads(content)
     except (ValueError, RecursionError) as error:  # also bytes that are no text
-        raise ValueError(
-            f"{source} is no whole plan: its JSON cannot be read ({error}); {AGAIN}."
+        raise Refusal(
+            f"{source} is no whole plan: its JSON cannot be read ({error})", remedy=AGAIN
         ) from None
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise ValueError(
-            f"{source} is not a plan; name the plan.json that `weberwhisk design` wrote."
+        raise Refusal(
+            f"{source} is not a plan", remedy="name the plan.json that `weberwhisk design` wrote"
         )
     version, versions = record.get("version"), record.get("made_with")
     made_with = "unknown"
     if isinstance(versions, dict):
         made_with = ", ".join(f"{name} {value}" for name, value in versions.items())
     if version != VERSION:
-        raise ValueError(
+        raise Refusal(
             f"{source} has version {version!r} of the plan's format, and this weberwhisk "
-            f"({__version__}) reads version {VERSION}; {AGAIN}, or use the version that made it "
-            f"({made_with})."
+            f"({__version__}) reads version {VERSION}",
+            remedy=f"{AGAIN}, or use the version that made it ({made_with})",
         )
     try:
         plan: Plan = _reader().structure(record.get("plan"), Plan)
@@ -270,18 +273,19 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
             with np.errstate(all="ignore"):
                 seen = hypothesis.model(plan.scheme).encoded(np.ones(1))
             if not all(np.isfinite(part).all() for part in seen):
-                raise ValueError(f"{hypothesis.name!r} gives no finite signals at these levels")
+                raise Refusal(f"{hypothesis.name!r} gives no finite signals at these levels")
     except RecursionError:
-        raise ValueError(f"{source} is damaged: its parts are nested too deep; {AGAIN}.") from None
+        raise Refusal(f"{source} is damaged: its parts are nested too deep", remedy=AGAIN) from None
     except (ValueError, TypeError, BaseExceptionGroup) as error:  # None for a list, say
         words = _in_words(error).rstrip(".")
-        raise ValueError(f"{source} does not hold a plan that can be run: {words}.") from None
+        raise Refusal(f"{source} does not hold a plan that can be run: {words}.") from None
     fingerprint = record.get("trials_sha256")
     if now != fingerprint:
-        raise ValueError(
-            f"{source} gives other trial lists than when it was made (SHA-256 "
-            f"{now[:8]}…, not {str(fingerprint)[:8]}…): it was changed since, or made "
-            f"with other versions ({made_with}); {AGAIN}."
+        raise Refusal(
+            f"{source} gives other trial lists than when it was made (SHA-256 {now[:8]}…, not "
+            f"{str(fingerprint)[:8]}…): it was changed since, or made with other versions "
+            f"({made_with})",
+            remedy=AGAIN,
         )
     return plan
 
@@ -292,13 +296,13 @@ def _table(columns: Any) -> pd.DataFrame | None:
         return None
     needed = {"truth", "trials", "animals", "power", "lower", "upper"}
     if not isinstance(columns, dict) or needed - columns.keys():
-        raise ValueError("power must have columns truth, trials, animals, power, lower and upper")
+        raise Refusal("power must have columns truth, trials, animals, power, lower and upper")
     found: dict[str, list[Any]] = {
         name: _reader().structure(values, list[str] if name == "truth" else list[float])
         for name, values in columns.items()
     }
     if len({len(column) for column in found.values()}) != 1:
-        raise ValueError("columns of power must be equally long")
+        raise Refusal("columns of power must be equally long")
     return pd.DataFrame(found)
 
 

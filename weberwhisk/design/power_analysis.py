@@ -14,6 +14,7 @@ import pandas as pd
 from scipy.special import ndtri
 
 from .._util import campaign, checks, output
+from .._util.refusals import Refusal
 from .._util.values import Shown, interval_text, paragraphs
 from ..behaviour.states import States
 from .best import refuse_impossible
@@ -176,9 +177,10 @@ def power(
     if states is not None:
         checks.kind("states", states, "States", "drawn", "write ww.behaviour.States(engaged=0.7)")
         if together and max(sizes[1]) > 1:
-            raise ValueError(
-                f"animals with states are fitted one by one, got {max(sizes[1])} animals fitted "
-                "together; write together=False."
+            raise Refusal(
+                "animals with states are fitted one by one",
+                f"{max(sizes[1])} animals fitted together",
+                "write together=False",
             )
     apart = None if together else aim
     work = partial(
@@ -284,7 +286,7 @@ def smallest(
         low, high = 0, start
         while not reached(high):
             if high == end:
-                raise ValueError(_out_of_reach(visited[end], vary, end))
+                raise Refusal(_out_of_reach(visited[end], vary, end))
             low, high = high, min(2 * high, end)
         while low == 0 and high > 1:
             half = high // 2

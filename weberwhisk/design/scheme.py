@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     Encoding,
@@ -72,7 +73,7 @@ class Scheme(Fields):
     ) -> None:
         at = _standards(standards)
         if np.unique(at).size < at.size:
-            raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
+            raise Refusal(f"a standard was given twice, in {at.tolist()}", remedy="give each once")
         checks.whole("animals", animals, "write 20")
         rows = _rows("offsets", offsets, at.size)
         one = np.isscalar(trials) or not isinstance(trials, Iterable)
@@ -80,14 +81,16 @@ class Scheme(Fields):
         counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
         for i, (row, n) in enumerate(zip(rows, counts, strict=True)):
             if not row:
-                raise ValueError(f"standard {at[i]:g} has no offsets; give one or more.")
+                raise Refusal(f"standard {at[i]:g} has no offsets", remedy="give one or more")
             if len(row) != len(n):
-                raise ValueError(
-                    f"standard {at[i]:g} has {len(row)} offsets and {len(n)} numbers of trials; "
-                    "give one number for each."
+                raise Refusal(
+                    f"standard {at[i]:g} has {len(row)} offsets and {len(n)} numbers of trials",
+                    remedy="give one number for each",
                 )
             if len(set(row)) < len(row):
-                raise ValueError(f"standard {at[i]:g} has an offset twice, in {row}; give it once.")
+                raise Refusal(
+                    f"standard {at[i]:g} has an offset twice, in {row}", remedy="give it once"
+                )
             checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
                 checks.whole("trials of a level", count, "write 20")
@@ -98,9 +101,10 @@ class Scheme(Fields):
         set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
         set_(self, "animals", int(animals))
         if self.total_trials > MOST_TRIALS:
-            raise ValueError(
-                f"an experiment may have up to {MOST_TRIALS} trials, got {self.total_trials} with "
-                "all animals; write fewer trials or animals."
+            raise Refusal(
+                f"an experiment may have up to {MOST_TRIALS} trials",
+                f"{self.total_trials} with all animals",
+                "write fewer trials or animals",
             )
 
     @classmethod
@@ -153,10 +157,10 @@ class Scheme(Fields):
         for s, one, row in zip(at, sd, rows, strict=True):
             if row.size < np.size(z):
                 said = partial(in_words, encoding)
-                raise ValueError(
+                raise Refusal(
                     f"steps of {said(step)} are too coarse at standard {said(s)}: {np.size(z)} "
-                    f"levels fall on {row.size}, as one sd is {said(one)}; take finer steps, fewer "
-                    "levels or another standard."
+                    f"levels fall on {row.size}, as one sd is {said(one)}",
+                    remedy="take finer steps, fewer levels or another standard",
                 )
         return cls(at, rows, trials, animals)
 
@@ -238,13 +242,14 @@ class Constraints(Fields):
         checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
         checks.non_negative_number("step", self.step, "give m, such as 0.1e-3, or 0")
         if not isinstance(self.farthest, float | int | np.number):
-            raise ValueError(
-                f"farthest must be a number, got {checks.shown(self.farthest)}; give m, or inf."
+            raise Refusal(
+                "farthest must be a number", checks.shown(self.farthest), "give m, or inf"
             )
         if not self.nearest < self.farthest:
-            raise ValueError(
-                f"farthest must lie beyond nearest, got {self.farthest:g} and {self.nearest:g}, "
-                f"{self.nearest - self.farthest:g} short; exchange them, say."
+            raise Refusal(
+                "farthest must lie beyond nearest",
+                f"{self.farthest:g} and {self.nearest:g}, {self.nearest - self.farthest:g} short",
+                "exchange them, say",
             )
 
     def positions(self, distance: ArrayLike) -> Array:
@@ -276,16 +281,18 @@ class Constraints(Fields):
                 (high, high - self.farthest, "farther", "in"),
             ):
                 if beyond > 0:
-                    raise ValueError(
+                    raise Refusal(
                         f"{name} {said(value)} is {side} than the animal's range of {ends}, by "
-                        f"{said(beyond)}; move it {way} or widen the range."
+                        f"{said(beyond)}",
+                        remedy=f"move it {way} or widen the range",
                     )
             off = np.abs(at - self.positions(at))
             if self.step and off.max() > 1e-6 * self.step:
                 worst = int(np.argmax(off))
-                raise ValueError(
-                    f"{name} {said(at[worst])} lies between two steps of {said(self.step)}, off by "
-                    f"{said(off[worst])}; write {said(float(self.positions(at[worst])))}."
+                raise Refusal(
+                    f"{name} {said(at[worst])} lies between two steps of {said(self.step)}, "
+                    f"off by {said(off[worst])}",
+                    remedy=f"write {said(float(self.positions(at[worst])))}",
                 )
             refuse_out_of_reach(encoding, at, name)
 
@@ -342,10 +349,10 @@ def lattice(
             levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
         )
         if not (np.any(levels < s) and np.any(levels > s)):
-            raise ValueError(
+            raise Refusal(
                 f"standard {s:g} is left without comparisons on both sides, between "
-                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
-                "or widen the range."
+                f"{max(low, nearest):g} and {min(high, limits.farthest):g}",
+                remedy="choose another, or widen the range",
             )
         rows.append([float(f"{level - s:.12g}") for level in levels])
     return Scheme(at, rows)
@@ -354,7 +361,7 @@ def lattice(
 def _standards(standards: ArrayLike) -> Array:
     at = np.ravel(checks.finite("standards", standards, "give one distance in m, or several"))
     if not at.size:
-        raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+        raise Refusal("a design needs standards", "none", "write standards=[15e-3, 30e-3]")
     return at
 
 
@@ -369,9 +376,9 @@ def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
     if given and all(np.ndim(v) == 0 for v in given):
         return [list(given) for _ in range(count)]
     if len(given) != count or any(np.ndim(v) != 1 for v in given):
-        raise ValueError(
-            f"{name} has {len(given)} rows for {count} standards; give one row for all, or one "
-            "each."
+        raise Refusal(
+            f"{name} has {len(given)} rows for {count} standards",
+            remedy="give one row for all, or one each",
         )
     return [list(row) for row in given]
 

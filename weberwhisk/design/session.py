@@ -31,6 +31,7 @@ import pandas as pd
 
 from .._util import checks
 from .._util.output import Log
+from .._util.refusals import Refusal
 from .._util.values import Array, Index, Line
 from ..behaviour.trials import Cells
 from .placement import BayesianPlacer, Proposal
@@ -94,9 +95,10 @@ def trial_lists(
     levels = scheme.cells()
     alike = levels.standard == levels.stimulus_2
     if alike.any():
-        raise ValueError(
+        raise Refusal(
             f"A comparison equal to its standard, {levels.standard[alike][0]:g}, has no right "
-            "answer to reward; leave the offset 0 out."
+            "answer to reward",
+            remedy="leave the offset 0 out",
         )
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(int(seed))
     parts = {}
@@ -357,9 +359,10 @@ class Session(Line):
             self.placer.record(row["standard"], row["comparison"], row["choice"])
         except (KeyError, TypeError, ValueError) as error:
             assert self._log is not None
-            raise ValueError(
+            raise Refusal(
                 f"{str(self._log.path)!r} has a trial that cannot be read (line {place + 2}: "
-                f"{error}); name another file."
+                f"{error})",
+                remedy="name another file",
             ) from error
 
     @property
@@ -452,20 +455,22 @@ def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, 
     try:
         given = json.loads(line)
     except (ValueError, RecursionError):  # brackets a thousand deep
-        raise ValueError(f"an answer must be JSON, got {line.strip()[:80]!r}; {hint}.") from None
+        raise Refusal("an answer must be JSON", f"{line.strip()[:80]!r}", hint) from None
     if not isinstance(given, dict):
         return trial.standard, trial.comparison, given
     allowed = {"choice", "trial", *names}
     unknown = sorted({*given} - allowed)
     if "choice" not in given or unknown:
         wrong = f"{unknown[0]!r} is unknown" if unknown else "it has no choice"
-        raise ValueError(
-            f"an answer has choice and perhaps {', '.join(sorted(allowed - {'choice'}))}, got "
-            f"{line.strip()} where {wrong}; {hint}."
+        raise Refusal(
+            f"an answer has choice and perhaps {', '.join(sorted(allowed - {'choice'}))}",
+            f"{line.strip()} where {wrong}",
+            hint,
         )
     if given.get("trial", trial.trial) != trial.trial:
-        raise ValueError(
-            f"trial {given['trial']} is not the one that is open; answer trial {trial.trial}."
+        raise Refusal(
+            f"trial {given['trial']} is not the one that is open",
+            remedy=f"answer trial {trial.trial}",
         )
     standard, comparison = trial.standard, trial.comparison
     return given.get(names[0], standard), given.get(names[1], comparison), given["choice"]

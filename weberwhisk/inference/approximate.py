@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import expit, ndtri
 
 from .._util.checks import between
+from .._util.refusals import Refusal
 from .._util.sampling import StackedSample, sample_stacked
 from .._util.values import Array, Flags, Index
 from ..mechanics.contact import Outcome
@@ -271,9 +272,10 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     """
     share = between("mass", mass, "write 0.95, say")
     if len(observer.unknowns) != 1:
-        raise ValueError(
-            f"Peaks are counted for one unknown, got {', '.join(observer.unknowns)}; "
-            "write ww.posterior(observer, reading).interval()."
+        raise Refusal(
+            "Peaks are counted for one unknown",
+            ", ".join(observer.unknowns),
+            "write ww.posterior(observer, reading).interval()",
         )
     y = observer.checked_reading(reading)
     rows = y.reshape(-1, y.shape[-1])

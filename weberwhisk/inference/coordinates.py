@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from .._util.checks import one_of, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, distinct
 from ..cues.protocol import Cue
 from ..mechanics.forward import ForwardModel, forward_of
@@ -69,9 +70,10 @@ class ContactCoordinates:
         low, high = self.prior[name].support() if name in self.prior else (0.0, np.inf)
         low, high = max(float(low), 0.0), min(float(high), top)
         if not low < high:
-            raise ValueError(
-                f"The prior of {name} has no overlap with what this whisker can reach, got "
-                f"{low:g} and more where the reach ends at {top:g}; give it in m (rad for angles)."
+            raise Refusal(
+                f"The prior of {name} has no overlap with what this whisker can reach",
+                f"{low:g} and more where the reach ends at {top:g}",
+                "give it in m (rad for angles)",
             )
         return low, high
 
@@ -367,16 +369,18 @@ def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:
     if prior is None:
         return {}
     if not isinstance(prior, Mapping):
-        raise ValueError(
-            f"prior must be a mapping of unknown to distribution, got {shown(prior)}; "
-            'write {"radial_distance": scipy.stats.uniform(10e-3, 20e-3)}, say.'
+        raise Refusal(
+            "prior must be a mapping of unknown to distribution",
+            shown(prior),
+            'write {"radial_distance": scipy.stats.uniform(10e-3, 20e-3)}, say',
         )
     for name, distribution in prior.items():
         one_of("prior of", name, cue.unknowns)
         loose, whole = hasattr(distribution, "freeze"), hasattr(distribution, "logpmf")
         if not hasattr(distribution, "support") or loose or whole:
-            raise ValueError(
-                f"The prior of {name} must be a frozen SciPy distribution, a continuous one, got "
-                f"{shown(distribution)}; write scipy.stats.uniform(10e-3, 20e-3), say."
+            raise Refusal(
+                f"The prior of {name} must be a frozen SciPy distribution, a continuous one",
+                shown(distribution),
+                "write scipy.stats.uniform(10e-3, 20e-3), say",
             )
     return prior

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import positive
+from .._util.refusals import Refusal
 from .._util.values import Array
 from ..cues.protocol import Cue
 from ..mechanics.contact import Outcome
@@ -58,9 +59,11 @@ def default_noise(
     noise, size = cue.default_noise(), len(cue.signal_names)
     if weber_fraction is not None:
         if np.size(weber_fraction) not in (1, size):
-            raise ValueError(
+            raise Refusal(
                 f"weber_fraction must be one number, or one for each of {size} signals "
-                f"({', '.join(cue.signal_names)}), got {np.size(weber_fraction)}; write 0.1, say."
+                f"({', '.join(cue.signal_names)})",
+                np.size(weber_fraction),
+                "write 0.1, say",
             )
         k = positive("weber_fraction", weber_fraction, "write 0.1, say")
         noise = noise.with_weber_fraction(k)
@@ -126,9 +129,10 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
     """Refuse noise that is not of the cue's signals, or that lacks a floor where it needs one."""
     usual = cue.default_noise()
     if noise.is_categorical != usual.is_categorical:
-        raise ValueError(
-            f"The signals of {cue!r} are not what this noise reports, got "
-            f"{noise!r}; leave noise out for {usual!r}."
+        raise Refusal(
+            f"The signals of {cue!r} are not what this noise reports",
+            f"{noise!r}",
+            f"leave noise out for {usual!r}",
         )
     size = len(cue.signal_names)
     count = noise.reading_size(size)
@@ -137,23 +141,27 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
     except ValueError:  # as many values as some other cue has signals
         spread = ()
     if spread != (count,):
-        raise ValueError(
-            f"The noise is not of {size} signals ({', '.join(cue.signal_names)}), got "
-            f"{noise!r}; give one value, or one for each signal."
+        raise Refusal(
+            f"The noise is not of {size} signals ({', '.join(cue.signal_names)})",
+            f"{noise!r}",
+            "give one value, or one for each signal",
         )
     twists = [name.split("_")[0] == "torsion" for name in cue.signal_names]
     exact = any(twists) and not np.all(noise.sd(np.where(twists, 0.0, 1.0)))
     if exact and is_flat:
-        raise ValueError(
-            "A straight whisker has no torsion, which this noise would tell exactly, got "
-            f"{noise!r}; leave torsion out, or give its noise a floor."
+        raise Refusal(
+            "A straight whisker has no torsion, which this noise would tell exactly",
+            f"{noise!r}",
+            "leave torsion out, or give its noise a floor",
         )
     floored = with_floors(noise, whisker, cue)
     if floored is not noise:
         added = floored.floors(size) > noise.floors(size)
         names = " and ".join(np.array(cue.signal_names)[added])
         line = re.sub(r"\b(?=[A-Z]\w*\()", "ww.receptors.", repr(floored)).replace("inf", "None")
-        raise ValueError(
+        raise Refusal(
             f"The sign or the direction of {names} changes within this whisker's reach, where "
-            f"this noise would be zero, got {noise!r}; write {line}."
+            "this noise would be zero",
+            f"{noise!r}",
+            f"write {line}",
         )

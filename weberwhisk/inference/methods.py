@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util.checks import kind, one_of, positive_number
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
 from . import tree
@@ -218,9 +219,10 @@ def quadrature(
 ) -> Solution:
     """Posteriors of readings (B, R) by quadrature."""
     if len(observer.unknowns) > 4:
-        raise ValueError(
-            f"Quadrature sums over four unknowns at most, got {len(observer.unknowns)} "
-            f'({", ".join(observer.unknowns)}); write method="emcee".'
+        raise Refusal(
+            "Quadrature sums over four unknowns at most",
+            f"{len(observer.unknowns)} ({', '.join(observer.unknowns)})",
+            'write method="emcee"',
         )
     wanted = tolerance or TOLERANCE
     sums = ManySums(observer, reading, wanted, progress)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, numbers, one_of, positive_number, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Fields, Index
 from ..cues.protocol import Cue, straight
 from ..mechanics import model_choice
@@ -101,24 +102,26 @@ class Observer(Fields):
 
     def __post_init__(self) -> None:
         if isinstance(self.cue, type) or not isinstance(self.cue, Cue):
-            raise ValueError(
-                f"An observer needs a cue, got {shown(self.cue)}; write ww.cues.Compliance(), say."
+            raise Refusal(
+                "An observer needs a cue", shown(self.cue), "write ww.cues.Compliance(), say"
             )
         if not (self.cue.takes_curved and isinstance(self.whisker, Whisker | Profile)):
             straight(self.whisker)
         if isinstance(self.noise, type) or not isinstance(self.noise, ReceptorNoise | None):
-            raise ValueError(
-                f"An observer needs receptor noise, got {shown(self.noise)}; "
-                "write ww.receptors.Weber(0.1), say."
+            raise Refusal(
+                "An observer needs receptor noise",
+                shown(self.noise),
+                "write ww.receptors.Weber(0.1), say",
             )
         fields = vars(getattr(self.whisker, "whisker", self.whisker))
         names = "length", "base_radius", "tip_radius", "youngs_modulus", "curvature"
         laws: dict[str, Any] = vars(self.whisker.law) if isinstance(self.whisker, Profile) else {}
         for name, value in {**{n: fields[n] for n in names}, **laws}.items():
             if np.ndim(value):
-                raise ValueError(
-                    f"An observer has one whisker, got {np.size(value)} "
-                    f"values of {name}; make one Observer for each."
+                raise Refusal(
+                    "An observer has one whisker",
+                    f"{np.size(value)} values of {name}",
+                    "make one Observer for each",
                 )
         set_ = object.__setattr__
         # By an observer that this one is made from, or by nobody.
@@ -368,9 +371,10 @@ class Observer(Fields):
         signals, outcome = self.signals(self.checked(contact))
         if np.any(outcome != Outcome.HELD):
             bad = Outcome(int(outcome[outcome != Outcome.HELD].flat[0]))
-            raise ValueError(
-                f"There is no reading of a contact that the whisker loses, got one {bad.message}; "
-                "choose distances and angles inside flick_past()."
+            raise Refusal(
+                "There is no reading of a contact that the whisker loses",
+                f"one {bad.message}",
+                "choose distances and angles inside flick_past()",
             )
         return self.noise.sample(signals, seed)
 
@@ -381,9 +385,10 @@ class Observer(Fields):
         if count == 1 and (array.ndim == 0 or array.shape[-1] != 1):
             array = array[..., None]
         if array.shape[-1] != count:
-            raise ValueError(
-                f"A contact of {self.cue!r} has {count} numbers ({', '.join(self.unknowns)}), got "
-                f"shape {array.shape}; put them along the last axis."
+            raise Refusal(
+                f"A contact of {self.cue!r} has {count} numbers ({', '.join(self.unknowns)})",
+                f"shape {array.shape}",
+                "put them along the last axis",
             )
         return array
 
@@ -398,8 +403,9 @@ class Observer(Fields):
             of = f"of {', '.join(self.cue.signal_names)}"
             if hasattr(self.noise, "reports"):
                 of = f"one of {self.noise.reports.tolist()}"
-            raise ValueError(
-                f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
-                f"({of}), got shape {array.shape}; put them along the last axis."
+            raise Refusal(
+                f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers ({of})",
+                f"shape {array.shape}",
+                "put them along the last axis",
             )
         return array

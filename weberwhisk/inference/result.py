@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util.checks import between, finite, one_of
+from .._util.refusals import Refusal
 from .._util.sampling import ArvizData, to_arviz
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
@@ -147,7 +148,7 @@ class Posterior(Shown):
         """
         p = finite("probability", probability, "write a number between 0 and 1")
         if np.any((p <= 0) | (p >= 1)):
-            raise ValueError(f"A probability lies between 0 and 1, got {p}; write 0.975, say.")
+            raise Refusal("A probability lies between 0 and 1", p, "write 0.975, say")
         values = self.quantile_of(np.atleast_1d(p), self._column(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
@@ -409,7 +410,10 @@ def refuse_impossible(reading: Array, highest: Array) -> None:
     """Refuse readings (B, R) whose log-density is −inf everywhere: there is no posterior."""
     impossible = np.isneginf(highest)
     if np.any(impossible):
-        raise ValueError(
-            f"No contact can give the reading {reading[impossible][0].tolist()} under this noise; "
-            "check its sign and unit (N m, N, rad), or choose noise that allows it, such as Weber."
+        raise Refusal(
+            f"No contact can give the reading {reading[impossible][0].tolist()} under this noise",
+            remedy=(
+                "check its sign and unit (N m, N, rad), or choose noise that allows it, "
+                "such as Weber"
+            ),
         )

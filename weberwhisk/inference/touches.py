@@ -11,6 +11,7 @@ from scipy.special import ndtr
 
 from .._util import checks
 from .._util.checks import kind
+from .._util.refusals import Refusal
 from .._util.values import Array, Index, Line, density_quantiles, interval_text
 from .observer import Observer
 from .one_distance import OneDistance, ReadingGroup, one_distance, shared_unknowns
@@ -126,18 +127,20 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
     if not len(y):
-        raise ValueError("touches needs a reading or more, got none; give one row a touch.")
+        raise Refusal("touches needs a reading or more", "none", "give one row a touch")
     shared = shared_unknowns(observer)
     if len(shared) > 1 or not set(shared) <= set(SHARED):
-        raise ValueError(
+        raise Refusal(
             "Touches are of distance and deflection, of friction, and of one of stiffness, "
-            f"curvature and hinge, got {', '.join(observer.unknowns)} unknown; take a cue that "
-            "knows the rest."
+            "curvature and hinge",
+            f"{', '.join(observer.unknowns)} unknown",
+            "take a cue that knows the rest",
         )
     if "friction_angle" in observer.unknowns and observer.bounded < 2:
-        raise ValueError(
-            "Touches have an unknown friction where their deflection is unknown too, got "
-            f"{', '.join(observer.unknowns)} unknown; give the friction's angle."
+        raise Refusal(
+            "Touches have an unknown friction where their deflection is unknown too",
+            f"{', '.join(observer.unknowns)} unknown",
+            "give the friction's angle",
         )
     owner: Index = np.zeros(len(y), dtype=np.intp)
     [found] = one_distance([ReadingGroup(observer, y, None, owner)], 1)

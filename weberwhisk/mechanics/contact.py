@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from .. import domain
 from .._util.checks import finite, refuse_hinge
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Line, Shown, Worded, member, pd
 from ..whisker import Whisker
 
@@ -276,8 +277,9 @@ def friction(friction_angle: ArrayLike) -> Array:
     """Friction angles as an array; a right angle or more is misuse."""
     tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
     if np.any(np.abs(tilt) >= np.pi / 2):
-        raise ValueError(
-            "friction_angle must be between −π/2 and π/2, got "
-            f"{np.ravel(tilt)[np.argmax(np.abs(tilt))]:g}; give radians, such as np.arctan(0.48)."
+        raise Refusal(
+            "friction_angle must be between −π/2 and π/2",
+            f"{np.ravel(tilt)[np.argmax(np.abs(tilt))]:g}",
+            "give radians, such as np.arctan(0.48)",
         )
     return tilt

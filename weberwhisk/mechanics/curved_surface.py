@@ -22,6 +22,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Index, distinct
 from ..whisker import YOUNGS_MODULUS, Whisker
 from . import profile as planar
@@ -109,9 +110,10 @@ class CurvedSurface:
             law = more_curved(self.profile, np.asarray(end)).law
             turn = max(abs(float(law.turn(np.asarray(k * self.length / 4)))) for k in (1, 2, 3, 4))
             if turn > 2.0:  # tables are made for whiskers that do not wind
-                raise ValueError(
-                    f"Observers take whiskers that turn by up to 2 rad from base to tip, "
-                    f"got {turn:.3g}; give a smaller curvature."
+                raise Refusal(
+                    "Observers take whiskers that turn by up to 2 rad from base to tip",
+                    f"{turn:.3g}",
+                    "give a smaller curvature",
                 )
         axes = [7 if high > low else 1 for low, high in self._ends]
         sizes = [(*axes, 24, 14), (*axes, 32, 16)]
@@ -127,9 +129,9 @@ class CurvedSurface:
             low, high = offset
             if high > low:
                 remedy = f"spread to the curvature, whose 7 sd are {low:.3g} to {high:.3g} 1/m more"
-            raise ValueError(
-                f"No table{' in space' * in_space} serves {whisker}, whose folds were not found; "
-                f"give less {remedy}."
+            raise Refusal(
+                f"No table{' in space' * in_space} serves {whisker}, whose folds were not found",
+                remedy=f"give less {remedy}",
             ) from None
 
     @property

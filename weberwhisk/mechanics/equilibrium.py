@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
@@ -37,9 +38,10 @@ def common_shape(profile: Profile, arguments: Mapping[str, ArrayLike]) -> tuple[
         return np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
     except ValueError:
         shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
-        raise ValueError(
-            f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
-            f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
+        raise Refusal(
+            "The scenes must broadcast with each other and the whisker",
+            f"{shapes} and a whisker of {np.shape(profile.radius[0])}",
+            "give arrays of one shape",
         ) from None
 
 

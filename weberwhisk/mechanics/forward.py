@@ -27,6 +27,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize.elementwise import find_root
 
 from .._util.checks import angle, positive, refuse_hinge
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
@@ -299,9 +300,10 @@ class ForwardModel(Value):
         """
         shape, (*flat, _) = self._rows(r, push, self.azimuth)
         if self.model == "profile":
-            raise ValueError(
-                'The planar beam knows no contacts out of its plane, got model="profile"; write '
-                'model="rod", or leave it out for a table of the rod.'
+            raise Refusal(
+                "The planar beam knows no contacts out of its plane",
+                'model="profile"',
+                'write model="rod", or leave it out for a table of the rod',
             )
         if self.model == "rod":
             signals, outcome = pressed(self.whisker, *flat)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import angle, distance, finite, one_of, positive
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags, member
 from ..whisker import Whisker
 from . import closed_form, elastica
@@ -181,7 +182,7 @@ def flick_past(
     tilt = friction(friction_angle)
     sides = finite("side", side, "write 1 or -1")
     if np.any(np.abs(sides) != 1):
-        raise ValueError(f"side must be 1 or -1, got {np.ravel(sides)[0]:g}; write side=1.")
+        raise Refusal("side must be 1 or -1", f"{np.ravel(sides)[0]:g}", "write side=1")
     hint = "write ww.press(..., roll=...) at growing deflection angles"
     _refuse_roll(whisker, "flick_past", roll, hint)
     if _model_of(whisker, None, tilt) == "profile":
@@ -339,9 +340,10 @@ def _module(name: str) -> Any:
 def _refuse_roll(whisker: Whisker | Profile, name: str, roll: ArrayLike, instead: str) -> None:
     turn = finite("roll", roll, _NO_ROLL)
     if _model_of(whisker, None, 0.0, turn) == "rod":
-        raise ValueError(
-            f"{name} takes contact in the plane of a whisker's curvature alone, got a roll of "
-            f"{np.max(np.abs(turn)):g} rad; {instead}."
+        raise Refusal(
+            f"{name} takes contact in the plane of a whisker's curvature alone",
+            f"a roll of {np.max(np.abs(turn)):g} rad",
+            instead,
         )
 
 
@@ -372,8 +374,9 @@ def _model_of(
     one_of("model", model, known)
     for what, (size, least) in needs.items():
         if Model[model.upper()] < least:
-            raise ValueError(
-                f"{what} is not modelled by the {model} model, got {size}; "
-                f'write model="{lowest.name.lower()}" or leave model out.'
+            raise Refusal(
+                f"{what} is not modelled by the {model} model",
+                size,
+                f'write model="{lowest.name.lower()}" or leave model out',
             )
     return model

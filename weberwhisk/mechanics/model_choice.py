@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.checks import finite, positive
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Line, member
 from ..whisker import Assumed, Whisker, rest_shape, usual_turn
 from .contact import Model, Outcome, friction, signals_of
@@ -172,10 +173,11 @@ def _spec(cue: Any) -> tuple[tuple[str, ...], bool]:
         return ("moment",), False
     names, unknowns = tuple(cue.signal_names), tuple(cue.unknowns)
     if not set(names) <= set(_SENSED) or unknowns not in _UNKNOWNS or len(names) < len(unknowns):
-        raise ValueError(
+        raise Refusal(
             f"A model is chosen for cues of {', '.join(_SENSED)} with no more unknowns "
-            f"(radial_distance, deflection_angle) than signals, got {', '.join(names)} for "
-            f"{', '.join(unknowns)}; write cue=ww.cues.ForceMap()."
+            "(radial_distance, deflection_angle) than signals",
+            f"{', '.join(names)} for {', '.join(unknowns)}",
+            "write cue=ww.cues.ForceMap()",
         )
     return names, unknowns == _UNKNOWNS[1]
 

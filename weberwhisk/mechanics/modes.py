@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
 from .._util.checks import finite, whole
+from .._util.refusals import Refusal
 from .._util.values import Array, Line
 from ..whisker import Whisker
 from .shape import Profile
@@ -92,9 +93,10 @@ class Modes(Line):
         length = self.profile.whisker.length
         s = finite("arc_length", arc_length, "give metres, such as 35e-3")
         if np.any((s < 0) | (s > length * (1 + 1e-12))):
-            raise ValueError(
-                f"arc_length must be on the whisker of {length:g} m, got "
-                f"{s.flat[np.argmax(np.abs(s - length / 2))]:g}; give metres from the base."
+            raise Refusal(
+                f"arc_length must be on the whisker of {length:g} m",
+                f"{s.flat[np.argmax(np.abs(s - length / 2))]:g}",
+                "give metres from the base",
             )
         values = basis(s.reshape(-1) / length, self.coefficients.shape[1], order)
         return np.asarray(self.coefficients @ values / length**order).reshape(-1, *s.shape)
@@ -123,7 +125,7 @@ def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
     """
     profile = one_profile(whisker, "modes")
     if not 1 <= (count := whole("count", count, "write count=5", least=0)) <= 12:
-        raise ValueError(f"count must be 1 to 12, got {count}; write count=5.")
+        raise Refusal("count must be 1 to 12", count, "write count=5")
     size = 60 if np.sum(np.diff(profile.arc) > 0) == 1 else 70
     omega, vectors = ritz(profile, size, count)
     coarse, _ = ritz(profile, 3 * size // 4, count)
@@ -137,9 +139,10 @@ def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
     profile = Profile.of(whisker)
     fields = (profile.radius[0], profile.whisker.density, profile.whisker.youngs_modulus)
     if shape := np.broadcast_shapes(*map(np.shape, fields)):
-        raise ValueError(
-            f"{name}() takes one whisker at a time, got an array of shape {shape}; "
-            "call it for each."
+        raise Refusal(
+            f"{name}() takes one whisker at a time",
+            f"an array of shape {shape}",
+            "call it for each",
         )
     return profile
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, kind, number
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields, Flags, member
 from ..whisker import Whisker
 from .contact import NUMBERS, Bending, Outcome, friction
@@ -113,20 +114,22 @@ def sweep(
     profile = Profile.of(whisker)
     given = travel if rotation is None else rotation
     if given is None or (rotation is not None and travel is not None):
-        raise ValueError(
-            "sweep() takes rotations or travels of the base, got "
-            f"{'none' if given is None else 'both'}; write one of them."
+        raise Refusal(
+            "sweep() takes rotations or travels of the base",
+            "none" if given is None else "both",
+            "write one of them",
         )
     moves = rotation is None
     name, unit = ("travel", "give metres") if moves else ("rotation", "give radians")
     angles = np.atleast_1d(finite(name, given, unit))
     if angles.ndim != 1 or np.any(np.diff(angles) <= 0):
-        raise ValueError(
-            f"{name} must be one row of ascending numbers, got shape {angles.shape}; "
-            f"write np.linspace(0, {0.02 if moves else 1}, 100)."
+        raise Refusal(
+            f"{name} must be one row of ascending numbers",
+            f"shape {angles.shape}",
+            f"write np.linspace(0, {0.02 if moves else 1}, 100)",
         )
     if profile.radius.ndim != 1 or np.ndim(profile.whisker.youngs_modulus):
-        raise ValueError("sweep() takes one whisker at a time, got several; call it for each.")
+        raise Refusal("sweep() takes one whisker at a time", "several", "call it for each")
     # In radians, or in lengths.
     size = float(profile.whisker.length) if moves else 1.0
     angles = angles / size
@@ -134,10 +137,11 @@ def sweep(
     contact = TouchedBody(profile, body, tilt, moves)
     path = np.linspace(min(angles[0], 0.0), max(angles[-1], 0.0), 257) if moves else np.zeros(1)
     if np.any(body.depth(0.0, -size * path) >= 0):
-        raise ValueError(
-            "The base of the whisker must be outside the object, got a body with corners from "
-            f"{body.corners.min():g} to {body.corners.max():g} m over "
-            f"{'its path' if moves else 'the origin'}; move it."
+        raise Refusal(
+            "The base of the whisker must be outside the object",
+            f"a body with corners from {body.corners.min():g} to {body.corners.max():g} m "
+            f"over {'its path' if moves else 'the origin'}",
+            "move it",
         )
     first = contact.first(float(angles[0]), float(angles[-1]))
     n = angles.size
@@ -290,11 +294,11 @@ class Walls:
         unknown = len({*forward.friction_range}) > 1 or len({*forward.offset_range}) > 1
         reach = forward.reach * (1 - 1e-12)
         if unknown or forward.limit(np.array([reach]))[0] > 0.01:
-            raise ValueError(
-                "A tip that meets an object may go further out than it reaches at rest, got "
-                f"{forward.whisker!r}{' with friction or curvature unknown' * unknown}; write "
-                "prior=scipy.stats.uniform(...) of the distances at which the flank is touched, or "
-                "slip_rate=0 for a peg."
+            raise Refusal(
+                "A tip that meets an object may go further out than it reaches at rest",
+                f"{forward.whisker!r}{' with friction or curvature unknown' * unknown}",
+                "write prior=scipy.stats.uniform(...) of the distances at which the "
+                "flank is touched, or slip_rate=0 for a peg",
             )
         r = np.linspace(1e-3, 1.0, 201) * reach
         rest = forward.rest(r)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, positive
+from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Fields, Flags, Index, member
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, STAGES, Piece, Rows, pilot, zero_load
@@ -153,8 +154,8 @@ def press(
     """
     place = finite("point", point, "give (x, y, z) in metres")
     if place.ndim < 1 or place.shape[-1] != 3:
-        raise ValueError(
-            f"point must have three components, got shape {place.shape}; give (x, y, z) in metres."
+        raise Refusal(
+            "point must have three components", f"shape {place.shape}", "give (x, y, z) in metres"
         )
     r = positive("the point's distance", np.sqrt((place**2).sum(-1)), _METRES)
     x, y, z = np.moveaxis(place, -1, 0)
@@ -289,8 +290,8 @@ class RodScenes:
         tilt = friction(friction_angle)
         roll = finite("plane", plane, "give radians, 0 for the xy plane")
         if not -1 < poisson_ratio <= 0.5:
-            raise ValueError(
-                f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
+            raise Refusal(
+                "poisson_ratio must be between -1 and 0.5", f"{poisson_ratio:g}", "write 0.38"
             )
         made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **contact)
         psi, turn, *given = made.given

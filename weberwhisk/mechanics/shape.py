@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from .. import domain
 from .._util.checks import finite, kind, non_negative, positive, refuse_hinge
+from .._util.refusals import Refusal
 from .._util.values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 
@@ -73,9 +74,10 @@ class Spiral(Value):
         across, up = finite("x", x, _METRES), finite("y", y, _METRES)
         moving = across.shape == up.shape and (np.diff(across) != 0) | (np.diff(up) != 0)
         if across.ndim != 1 or across.size < 4 or not np.all(moving):
-            raise ValueError(
-                "A shape at rest takes four points or more, no two in a row alike, got x of shape "
-                f"{across.shape} and y of {up.shape}; give both (n,), from the base on."
+            raise Refusal(
+                "A shape at rest takes four points or more, no two in a row alike",
+                f"x of shape {across.shape} and y of {up.shape}",
+                "give both (n,), from the base on",
             )
         points = across + 1j * up
         arc = np.append(0.0, np.cumsum(np.abs(np.diff(points))))
@@ -260,14 +262,16 @@ class Profile(Value):
         a = non_negative("radius", radius, "give metres, such as 1e-4")
         hole = non_negative("core", core, "give metres, or 0 for a solid whisker")
         if s.ndim != 1 or s.size < 2 or s[0] != 0 or np.any(np.diff(s) < 0) or s[-1] == 0:
-            raise ValueError(
-                f"arc must ascend from 0 at the base in two knots or more, got {s.tolist()}; "
-                "give one row of metres such as [0, 20e-3, 50e-3]."
+            raise Refusal(
+                "arc must ascend from 0 at the base in two knots or more",
+                s.tolist(),
+                "give one row of metres such as [0, 20e-3, 50e-3]",
             )
         if a.shape != s.shape or hole.shape not in ((), s.shape):
-            raise ValueError(
-                f"radius and core need one value a knot, got shapes {a.shape} and {hole.shape} "
-                f"for {s.size} knots; give tables of one length."
+            raise Refusal(
+                "radius and core need one value a knot",
+                f"shapes {a.shape} and {hole.shape} for {s.size} knots",
+                "give tables of one length",
             )
         bow = Assumed(0.0) if law is None else 0.0
         whisker = Whisker(s[-1], np.max(a), min(a[-1], np.max(a)), youngs_modulus, bow, density)
@@ -292,9 +296,10 @@ class Profile(Value):
         """
         end = positive("length", length, _METRES)
         if np.any(end > self.whisker.length):
-            raise ValueError(
+            raise Refusal(
                 f"A whisker of {np.min(self.whisker.length):g} m cannot be cut at "
-                f"{np.max(end):g} m; give a length up to its own."
+                f"{np.max(end):g} m",
+                remedy="give a length up to its own",
             )
         tables = np.stack(np.broadcast_arrays(self.arc, self.radius, self.core, end[None]))
         kept = np.empty_like(tables[:3])
@@ -321,14 +326,16 @@ class Profile(Value):
         core = non_negative("core_radius", core_radius, "give metres, such as 3e-5")
         stop = positive("end", end, _METRES)
         if len(self.arc) != 2:
-            raise ValueError(
-                f"hollow() needs a whisker of one piece, got {len(self.arc) - 1}; "
-                "give the core's table to ww.mechanics.Profile.tabulated(core=...)."
+            raise Refusal(
+                "hollow() needs a whisker of one piece",
+                len(self.arc) - 1,
+                "give the core's table to ww.mechanics.Profile.tabulated(core=...)",
             )
         if np.any(stop > self.whisker.length):
-            raise ValueError(
-                f"The medulla must end on the whisker of {np.min(self.whisker.length):g} m, got "
-                f"{np.max(stop):g} m; give an end up to its length."
+            raise Refusal(
+                f"The medulla must end on the whisker of {np.min(self.whisker.length):g} m",
+                f"{np.max(stop):g} m",
+                "give an end up to its length",
             )
         share = stop / self.whisker.length
         arc, middle, core = np.broadcast_arrays(
@@ -362,9 +369,11 @@ class Profile(Value):
     def _checked(self) -> Profile:
         bad = (self.core >= self.radius) & (self.core > 0)
         if np.any(bad):
-            raise ValueError(
-                f"The core must be inside the whisker, got a core of {self.core[bad].flat[0]:g} m "
-                f"in a radius of {self.radius[bad].flat[0]:g} m; give a narrower core."
+            raise Refusal(
+                "The core must be inside the whisker",
+                f"a core of {self.core[bad].flat[0]:g} m in a radius of "
+                f"{self.radius[bad].flat[0]:g} m",
+                "give a narrower core",
             )
         return self
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, positive
+from .._util.refusals import Refusal
 from .._util.values import Array, Fields
 from .beam import follow, pilot, rows_of
 from .contact import Outcome
@@ -62,7 +63,7 @@ def wall(x: float, y: float, angle: float) -> Body:
 def _points(points: ArrayLike) -> Array:
     array = finite("points", points, "give rows of (x, y) in metres")
     if array.ndim != 2 or array.shape[1] != 2:
-        raise ValueError(f"points must be rows of (x, y), got shape {array.shape}; give (k, 2).")
+        raise Refusal("points must be rows of (x, y)", f"shape {array.shape}", "give (k, 2)")
     return array
 
 
@@ -192,9 +193,10 @@ class TouchedBody:
         s = np.linspace(0, 1, 4001)
         x, y = self.rows.law.point(s) if self.rows.law else (s, np.zeros_like(s))
         if self.depth(x, y, begin) > OVERLAP:
-            raise ValueError(
-                f"The whisker must start clear of the object, got it inside at {begin:g} "
-                f"{'lengths' if self.translates else 'rad'}; start from further back."
+            raise Refusal(
+                "The whisker must start clear of the object",
+                f"it inside at {begin:g} {'lengths' if self.translates else 'rad'}",
+                "start from further back",
             )
         # Which parts of the whisker reach which places, and when: by radius, or by x.
         along, across = (x, y) if self.translates else (np.hypot(x, y), np.arctan2(y, x))

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .._util.checks import one_of, shown
+from .._util.refusals import Refusal
 from .._util.values import Array, pd
 from .style import (
     COLOURS,
@@ -83,7 +84,7 @@ def bending(
     if axes is None:
         axes = list(open_figure(DOUBLE, 2.7).subplots(1, 3))
     if np.size(np.array(axes, dtype=object)) != 3:
-        raise ValueError(f"Three signals are drawn, got {shown(axes)}; give three axes.")
+        raise Refusal("Three signals are drawn", shown(axes), "give three axes")
     label, unit, name, symbol = "Contact force (µN)", 1e-6, "arc_length", "s"
     if against != "force":
         label, unit = _UNKNOWNS[against]

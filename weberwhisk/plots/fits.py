@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, pd
 from .style import (
     COLOURS,
@@ -82,9 +83,9 @@ def psychometrics(
     if axes is not None:
         drawn = np.array(axes, dtype=object).ravel()
         if len(drawn) < count:
-            raise ValueError(
-                f"There are {count} standards and {len(drawn)} axes; name one, such as "
-                f"standard={known[0]:g}, or give more."
+            raise Refusal(
+                f"There are {count} standards and {len(drawn)} axes",
+                remedy=f"name one, such as standard={known[0]:g}, or give more",
             )
         for ax, s in zip(drawn, known, strict=False):
             _choices(fit, ax, float(s))
@@ -141,9 +142,9 @@ def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
     """Positions on the axis of the choices at a standard, and their counts."""
     every = fit.trials.cells()
     if every.standard.size and not np.isclose(every.standard, standard).any():
-        raise ValueError(
-            f"standard {standard:g} has no answers to draw; choose one of "
-            f"{', '.join(f'{s:g}' for s in fit.standards)}."
+        raise Refusal(
+            f"standard {standard:g} has no answers to draw",
+            remedy=f"choose one of {', '.join(f'{s:g}' for s in fit.standards)}",
         )
     cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
     first, second = cells.stimulus_1, cells.stimulus_2

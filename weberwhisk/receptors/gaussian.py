@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import non_negative, number, numbers, positive
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from .protocol import ReceptorNoise, Seed
 
@@ -49,9 +50,9 @@ class Gaussian(ReceptorNoise):
     def _correlations(self, size: int) -> Array:
         rho = self.correlation
         if size > 2 and rho <= -1 / (size - 1):
-            raise ValueError(
-                f"{size} signals cannot all be correlated by {rho:g}; "
-                f"write a correlation above {-1 / (size - 1):.3g}."
+            raise Refusal(
+                f"{size} signals cannot all be correlated by {rho:g}",
+                remedy=f"write a correlation above {-1 / (size - 1):.3g}",
             )
         return (1 - rho) * np.eye(size) + rho
 
@@ -61,9 +62,9 @@ class Gaussian(ReceptorNoise):
 
     def _precision(self, size: int) -> Array:
         if size > 1 and abs(self.correlation) >= 1:
-            raise ValueError(
-                f"Perfectly correlated noise (correlation {self.correlation:g}) has no likelihood; "
-                "write a correlation between -1 and 1."
+            raise Refusal(
+                f"Perfectly correlated noise (correlation {self.correlation:g}) has no likelihood",
+                remedy="write a correlation between -1 and 1",
             )
         return np.asarray(np.linalg.inv(self._correlations(size)), dtype=float)
 
@@ -218,9 +219,10 @@ class GeneralisedWeber(Gaussian):
         k = non_negative("weber_fraction", weber_fraction, "write 0.1, say")
         floor = non_negative("floor", floor, "write it in the unit of the signal")
         if np.any((k == 0) & (floor == 0)):
-            raise ValueError(
-                "A signal without noise has no likelihood, got weber_fraction 0 and floor 0; "
-                "write one of them above zero."
+            raise Refusal(
+                "A signal without noise has no likelihood",
+                "weber_fraction 0 and floor 0",
+                "write one of them above zero",
             )
         each = np.asarray(ceiling, dtype=object)
         limit = numbers("ceiling", np.where(each == None, np.inf, each), "write None for none")  # noqa: E711
@@ -327,8 +329,8 @@ class Saturating(GeneralisedWeber):
         self._set(sharpness=number("sharpness", sharpness, "write 1 for Naka–Rushton"))
         positive("sharpness", sharpness, "write 1 for Naka–Rushton")
         if np.any(np.isinf(self.ceiling)):
-            raise ValueError(
-                "A response that levels off needs a ceiling, got none; write GeneralisedWeber."
+            raise Refusal(
+                "A response that levels off needs a ceiling", "none", "write GeneralisedWeber"
             )
 
     @property
@@ -360,5 +362,5 @@ def checked_correlation(value: float) -> float:
     """A correlation, refused outside −1 … 1."""
     rho = number("correlation", value, "write a number from -1 to 1")
     if not -1 <= rho <= 1:
-        raise ValueError(f"correlation must lie between -1 and 1, got {rho:g}; write 0 for none.")
+        raise Refusal("correlation must lie between -1 and 1", f"{rho:g}", "write 0 for none")
     return rho

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import finite, non_negative, number
+from .._util.refusals import Refusal
 from .._util.values import Array
 from .gaussian import GeneralisedWeber, Proportional
 from .protocol import ReceptorNoise, Seed
@@ -166,21 +167,23 @@ class Events(ReceptorNoise):
     def __init__(self, reports: ArrayLike, *, misreport: float = 0.0) -> None:
         reports = finite("reports", reports, "give one row of numbers for each event")
         if reports.ndim != 2 or len(reports) < 2:
-            raise ValueError(
-                f"reports must have a row for each of two events or more, got shape "
-                f"{reports.shape}; write [[0], [1]] for no touch and touch, say."
+            raise Refusal(
+                "reports must have a row for each of two events or more",
+                f"shape {reports.shape}",
+                "write [[0], [1]] for no touch and touch, say",
             )
         if len(np.unique(reports, axis=0)) < len(reports):
-            raise ValueError(
-                f"Each event needs a report of its own, got {len(reports)} events and "
-                f"{len(np.unique(reports, axis=0))} different rows of reports; "
-                "leave out events that cannot be distinguished."
+            raise Refusal(
+                "Each event needs a report of its own",
+                f"{len(reports)} events and {len(np.unique(reports, axis=0))} different "
+                "rows of reports",
+                "leave out events that cannot be distinguished",
             )
         misreport = number("misreport", misreport, "give a probability, 0 to 1")
         non_negative("misreport", misreport, "give a probability, 0 to 1")
         if misreport >= 1:
-            raise ValueError(
-                f"misreport must be below 1, got {misreport:g}; give a probability, 0 to 1."
+            raise Refusal(
+                "misreport must be below 1", f"{misreport:g}", "give a probability, 0 to 1"
             )
         self._set(reports=reports, misreport=misreport)
 
@@ -190,9 +193,10 @@ class Events(ReceptorNoise):
     def reading_size(self, signals: int) -> int:
         """R, the numbers in each report."""
         if signals != len(self.reports) - 1:
-            raise ValueError(
-                f"Events with {len(self.reports)} reports take {len(self.reports) - 1} chances, "
-                f"got {signals} signals; use the cue's default_noise()."
+            raise Refusal(
+                f"Events with {len(self.reports)} reports take {len(self.reports) - 1} chances",
+                f"{signals} signals",
+                "use the cue's default_noise()",
             )
         return int(self.reports.shape[1])
 

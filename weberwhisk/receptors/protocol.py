@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import several, shown, whole
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags, Seed, Value
 
 __all__ = ["Component", "Joint", "ReceptorNoise", "Seed"]
@@ -223,13 +224,14 @@ class Joint(ReceptorNoise):
         noises = tuple(several("noises", self.noises, hint))
         sizes = tuple(several("sizes", self.sizes, hint))
         if len(noises) != len(sizes) or not noises:
-            raise ValueError(
-                f"Every noise model needs its number of signals, got {len(noises)} models and "
-                f"sizes {list(sizes)}; write sizes=[1, 2], say."
+            raise Refusal(
+                "Every noise model needs its number of signals",
+                f"{len(noises)} models and sizes {list(sizes)}",
+                "write sizes=[1, 2], say",
             )
         for noise in noises:
             if not isinstance(noise, ReceptorNoise):
-                raise ValueError(f"noises must be noise models, got {shown(noise)}; {hint}.")
+                raise Refusal("noises must be noise models", shown(noise), hint)
         self._set(noises=noises, sizes=tuple(whole("sizes", n, hint) for n in sizes))
 
     def __repr__(self) -> str:
@@ -303,9 +305,10 @@ class Joint(ReceptorNoise):
         """Each component with its own signals, (..., S_i)."""
         array = np.asarray(signals, dtype=float)
         if array.shape[-1] != sum(self.sizes):
-            raise ValueError(
-                f"This noise is of {sum(self.sizes)} signals, got {array.shape[-1]}; "
-                "write sizes that add up to the cue's signals."
+            raise Refusal(
+                f"This noise is of {sum(self.sizes)} signals",
+                array.shape[-1],
+                "write sizes that add up to the cue's signals",
             )
         return [(c.noise, array[..., c.signals]) for c in self._components]
 

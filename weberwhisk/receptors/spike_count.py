@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
 from .._util.checks import non_negative_number, positive, positive_number, shown, whole
+from .._util.refusals import Refusal
 from .._util.values import Array, Value
 from .protocol import ReceptorNoise, Seed
 
@@ -70,9 +71,7 @@ class Afferents(Value):
         low = positive("lowest", lowest, "write a threshold in the signal's unit")
         high = positive("highest", highest, "write a threshold in the signal's unit")
         if np.any(high < low):
-            raise ValueError(
-                f"highest must not lie below lowest, got {high} below {low}; swap them."
-            )
+            raise Refusal("highest must not lie below lowest", f"{high} below {low}", "swap them")
         rest = non_negative_number("spontaneous_rate", spontaneous_rate, "write spikes/s")
         self._set(
             number=number, lowest=low, highest=high, spontaneous_rate=rest,
@@ -143,14 +142,15 @@ class SpikeCount(ReceptorNoise):
 
     def __post_init__(self) -> None:
         if self.slow is None and self.rapid is None:
-            raise ValueError(
-                "A population needs afferents, got none; write slow=ww.receptors.Afferents(...)."
+            raise Refusal(
+                "A population needs afferents", "none", "write slow=ww.receptors.Afferents(...)"
             )
         for name in ("slow", "rapid"):
             if not isinstance(getattr(self, name), Afferents | None):
-                raise ValueError(
-                    f"{name} must be Afferents, got {shown(getattr(self, name))}; "
-                    "write ww.receptors.Afferents(75, 1e-8, 1e-5), say."
+                raise Refusal(
+                    f"{name} must be Afferents",
+                    shown(getattr(self, name)),
+                    "write ww.receptors.Afferents(75, 1e-8, 1e-5), say",
                 )
         for name in ("window", "rise_time"):
             hint = "write seconds, such as 0.05"
@@ -208,9 +208,10 @@ class SpikeCount(ReceptorNoise):
         """s of every afferent, (..., S, number); above zero, so that it has a logarithm."""
         signals = np.asarray(signals, dtype=float)
         if self._log_threshold.ndim > 1 and signals.shape[-1] != len(self._log_threshold):
-            raise ValueError(
-                f"These afferents have thresholds for {len(self._log_threshold)} signals, got "
-                f"{signals.shape[-1]}; give one threshold for each signal, or one for all."
+            raise Refusal(
+                f"These afferents have thresholds for {len(self._log_threshold)} signals",
+                signals.shape[-1],
+                "give one threshold for each signal, or one for all",
             )
         with np.errstate(divide="ignore"):
             log_ratio = np.log(np.abs(signals))[..., None] - self._log_threshold
@@ -264,9 +265,10 @@ class SpikeCount(ReceptorNoise):
         reading, signals = np.asarray(reading, dtype=float), np.asarray(signals, dtype=float)
         refused = ~((reading >= 0) & (reading < np.inf) & (reading == np.floor(reading)))
         if np.any(refused):
-            raise ValueError(
-                f"Spike counts are whole and not negative, got {reading[refused][0]:g}; "
-                "a reading has one for each afferent."
+            raise Refusal(
+                "Spike counts are whole and not negative",
+                f"{reading[refused][0]:g}",
+                "a reading has one for each afferent",
             )
         mean = _flat(self._mean(self._activation(signals)))
         natural, normaliser = np.log(mean), mean

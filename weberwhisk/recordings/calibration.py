@@ -15,6 +15,7 @@ from scipy.stats import f as f_distribution
 
 from .. import domain
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Index, Shown, weighted_quantiles
 from ..cues import Cue
 from ..cues.protocol import Encoded
@@ -274,9 +275,9 @@ def _taps(
     """Distances (m) and slopes of the taps; whether slopes were divided by a velocity."""
     _, si, found = read_contacts(table, columns, units)
     if missing := [name for name in ("radial_distance", "moment_rate") if name not in si]:
-        raise ValueError(
-            "A calibration needs the columns radial_distance_mm and moment_rate; map "
-            f'{" and ".join(missing)} with columns={{"{missing[0]}": …}}.'
+        raise Refusal(
+            "A calibration needs the columns radial_distance_mm and moment_rate",
+            remedy=f'map {" and ".join(missing)} with columns={{"{missing[0]}": …}}',
         )
     r = si["radial_distance"]
     y = si["moment_rate"] / si.get("angular_velocity", 1.0)
@@ -288,33 +289,38 @@ def _taps(
         column, factor, said = found["radial_distance"]
         unit = f"{column!r} was read in {'metres' if factor == 1 else f'units of {factor:g} m'}"
         unit += "; correct it" if said else ': write units={"radial_distance": "mm"}, say'
-        raise ValueError(
+        raise Refusal(
             f"A distance of {1e3 * r[off][0]:g} mm is not on a whisker of "
-            f"{1e3 * whisker.length:g} mm; {unit}."
+            f"{1e3 * whisker.length:g} mm",
+            remedy=unit,
         )
     if len(r) and np.median(r) < domain.CONTACTS[0] * whisker.length:
-        raise ValueError(
+        raise Refusal(
             f"Half of the taps are nearer than {1e3 * np.median(r):.2g} mm, on a whisker of "
             f"{1e3 * whisker.length:g} mm: did you pass metres? radial_distance_mm is in "
             "millimetres."
         )
     places = len(_first_taps(r, whisker))
     if len(r) < 5 or places < 4:
-        raise ValueError(
-            f"A calibration takes five taps or more at four distances or more, got {len(r)} at "
-            f"{places}; add taps."
+        raise Refusal(
+            "A calibration takes five taps or more at four distances or more",
+            f"{len(r)} at {places}",
+            "add taps",
         )
     if np.any(y <= 0):
-        raise ValueError(f"Slopes must be above zero, got {y[y <= 0][0]:g}; leave such taps out.")
+        raise Refusal("Slopes must be above zero", f"{y[y <= 0][0]:g}", "leave such taps out")
     usual = whisker.compliance_constant * _slope(r, max(whisker.apex_distance, 1.01 * r.max()), 0.0)
     times = float(np.median(y / usual))
     if not counts and not 0.01 < times < 30:
         column, factor, _ = found["moment_rate"]
         unit = likely_prefix(times, factor) + "N m/s"
-        raise ValueError(
+        raise Refusal(
             f"{column!r} is {times:.2g} times what this whisker gives at 1 rad/s: did you pass "
-            f'{unit}? Write units={{"moment_rate": "{unit}"}}, give angular_velocity in rad/s, or '
-            "write counts=True (--counts) for a sensor's own units."
+            f"{unit}?",
+            remedy=(
+                f'write units={{"moment_rate": "{unit}"}}, give angular_velocity in rad/s, or '
+                "write counts=True (--counts) for a sensor's own units"
+            ),
         )
     return r, y, "angular_velocity" in si
 

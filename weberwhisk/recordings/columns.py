@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
@@ -87,9 +88,10 @@ def find_columns(
     """
     for argument, name in ((columns, "columns"), (units, "units")):
         if argument is not None and not isinstance(argument, Mapping):
-            raise ValueError(
-                f"{name} must be a mapping, got {checks.shown(argument)}; write "
-                f'{name}={{"moment": "{"M" if name == "columns" else "uN m"}"}}, say.'
+            raise Refusal(
+                f"{name} must be a mapping",
+                checks.shown(argument),
+                f'write {name}={{"moment": "{"M" if name == "columns" else "uN m"}"}}, say',
             )
         for key in argument or {}:
             checks.one_of(f"{name} key", key, NAMES)
@@ -98,9 +100,9 @@ def find_columns(
         if column not in header and isinstance(column, str):
             column = column.removeprefix("-")
         if column not in header:
-            raise ValueError(
-                f"The table has no column {column!r}, mapped from {quantity!r}; it has "
-                f"{checks.listed(header, 8)}."
+            raise Refusal(
+                f"The table has no column {column!r}, mapped from {quantity!r}",
+                remedy=f"it has {checks.listed(header, 8)}",
             )
         found[quantity] = _of(quantity, column, column, units)
     taken = {column for column, _, _ in found.values()}
@@ -118,9 +120,9 @@ def find_columns(
             if quantity in (columns or {}):
                 break
             if quantity in found:
-                raise ValueError(
-                    f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}; say "
-                    f'which with columns={{"{quantity}": "{column}"}}.'
+                raise Refusal(
+                    f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}",
+                    remedy=f'say which with columns={{"{quantity}": "{column}"}}',
                 )
             found[quantity] = _of(quantity, column, rest[1] or "", units)
             break
@@ -130,9 +132,9 @@ def find_columns(
             found[quantity] = (column, *of[1:])
     for quantity in units or {}:
         if quantity not in found:
-            raise ValueError(
-                f"A unit was given for {quantity}, which the table has no column of; map one "
-                f'with columns={{"{quantity}": …}}.'
+            raise Refusal(
+                f"A unit was given for {quantity}, which the table has no column of",
+                remedy=f'map one with columns={{"{quantity}": …}}',
             )
     return found
 
@@ -144,7 +146,9 @@ def _of(quantity: str, column: str, text: str, units: Any) -> tuple[str, float, 
         factor = unit_factor(str(given), kind)
         if factor is None:
             known = _EXAMPLES.get(kind, ", ".join(_UNITS[kind]))
-            raise ValueError(f"{given!r} is no unit of {quantity}; write one such as {known}.")
+            raise Refusal(
+                f"{given!r} is no unit of {quantity}", remedy=f"write one such as {known}"
+            )
         return column, factor, True
     # The text after our name, or the longest suffix of another name that is a unit. A single
     # letter before a unit is then not a prefix: m_Nm is a moment m in N m.
@@ -173,15 +177,15 @@ def values_of(table: pd.DataFrame, column: str) -> Array:
     """A column as numbers, NaN where a cell holds none."""
     series = table[column]
     if getattr(series.dtype, "kind", "O") in "bcmM":
-        raise ValueError(f"The column {column!r} holds {series.dtype}; write numbers.")
+        raise Refusal(f"The column {column!r} holds {series.dtype}", remedy="write numbers")
     out = pd.to_numeric(series, errors="coerce").to_numpy(dtype=float)
     text = series.notna().to_numpy() & np.isnan(out)
     blank = series.astype(str).str.strip().str.lower().isin(("", "nan", "na", "none"))
     text &= ~blank.to_numpy()
     if text.sum() * 2 > len(out):
-        raise ValueError(
-            f"The column {column!r} holds text such as {series[text].iloc[0]!r}; "
-            f"{as_number(series[text].iloc[0])}."
+        raise Refusal(
+            f"The column {column!r} holds text such as {series[text].iloc[0]!r}",
+            remedy=as_number(series[text].iloc[0]),
         )
     return out
 
@@ -260,7 +264,7 @@ def read_contacts(
     raw = _table(table).rename(columns=str)
     if not raw.columns.is_unique:
         twice = raw.columns[raw.columns.duplicated()][0]
-        raise ValueError(f"There are two columns {twice!r}; give each its own name.")
+        raise Refusal(f"There are two columns {twice!r}", remedy="give each its own name")
     found = find_columns(list(raw.columns), columns, units)
     if not found:
         refuse_tracked(raw)
@@ -275,7 +279,9 @@ def _table(table: Any) -> pd.DataFrame:
     if isinstance(table, pd.DataFrame):
         raw = table
         if raw.columns.nlevels > 1:
-            raise ValueError("The table's columns have several levels; give each column one name.")
+            raise Refusal(
+                "The table's columns have several levels", remedy="give each column one name"
+            )
     else:
         refuse_tracked(table)
         raw, _ = load_table(table, "contact")
@@ -285,7 +291,7 @@ def _table(table: Any) -> pd.DataFrame:
             if number.notna().equals(raw[column].notna()):
                 raw[column] = number
     if not len(raw):
-        raise ValueError("The table has no rows; give one row per contact under a header.")
+        raise Refusal("The table has no rows", remedy="give one row per contact under a header")
     return raw
 
 
@@ -354,11 +360,11 @@ def signals_of(
         elif len(forces) > 1:
             cue = ForceMap(forces)
         else:
-            raise ValueError(
+            raise Refusal(
                 f"No distance follows from the columns {checks.listed(header, 8)}, of which "
-                f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
-                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
-                'with columns={"moment": "M"}.'
+                f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, "
+                "or deflection_angle and one of them, or moment_rate and angular_velocity",
+                remedy='map them with columns={"moment": "M"}',
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
         if known is None:
@@ -375,10 +381,10 @@ def signals_of(
     missing = [name for name in wanted if name not in si]
     if missing:
         if not set(missing) <= set(NAMES):
-            raise ValueError(f"A table has no signals of {cue!r}; leave cue out.")
-        raise ValueError(
-            f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of; map "
-            f'one with columns={{"{missing[0]}": …}}.'
+            raise Refusal(f"A table has no signals of {cue!r}", remedy="leave cue out")
+        raise Refusal(
+            f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of",
+            remedy=f'map one with columns={{"{missing[0]}": …}}',
         )
     y = np.stack([si[name] for name in wanted], axis=-1)
     scale = np.ones(len(y))
@@ -391,9 +397,10 @@ def signals_of(
     sds = [f"{name}_sd" for name in wanted]
     present = [name for name in sds if name in si]
     if present and len(present) < len(sds):
-        raise ValueError(
+        raise Refusal(
             f"There is a measurement error in {', '.join(present)}, but none in "
-            f"{', '.join(n for n in sds if n not in present)}; give all or none."
+            f"{', '.join(n for n in sds if n not in present)}",
+            remedy="give all or none",
         )
     if not present:
         return cue, y, None
@@ -422,18 +429,19 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
         name = part if part in found else name
         header, factor, _ = found.get(name, (name, 1.0, False))
         unit = likely_prefix(2 * times, factor) + unit
-        raise ValueError(
-            f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker gives, "
-            f"{times:.2g} times the usual {name.replace('_', ' ')}: did you pass {unit}? Write "
-            f'units={{"{name}": "{unit}"}}, say.'
+        raise Refusal(
+            f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker "
+            f"gives, {times:.2g} times the usual {name.replace('_', ' ')}: did you pass "
+            f"{unit}?",
+            remedy=f'write units={{"{name}": "{unit}"}}, say',
         )
     measured = [i for i, n in enumerate(observer.cue.signal_names) if n == "measured_angle"]
     angle = np.abs(y[:, measured])
     angle = angle[np.isfinite(angle)]
     if angle.size and np.median(angle) > np.pi:
-        raise ValueError(
-            "The deflection angle is above half a turn in most rows: did you pass degrees? Write "
-            'units={"deflection_angle": "deg"}.'
+        raise Refusal(
+            "The deflection angle is above half a turn in most rows: did you pass degrees?",
+            remedy='write units={"deflection_angle": "deg"}',
         )
 
 
@@ -447,15 +455,19 @@ def from_shape(
     missing = [n for n in (*common, "contact", "misfit", CORRELATION, COMMON) if n not in raw]
     missing += [n for n in ("moment", "transverse_force") if n not in si]
     if missing:
-        raise ValueError(
-            f"A table of tracked shapes has no {', '.join(missing)}; keep the columns that "
-            "tracked_signals wrote, or drop signals_from to locate its forces alone."
+        raise Refusal(
+            f"A table of tracked shapes has no {', '.join(missing)}",
+            remedy=(
+                "keep the columns that tracked_signals wrote, or drop signals_from to "
+                "locate its forces alone"
+            ),
         )
     numbers = raw[common].apply(pd.to_numeric).drop_duplicates()
     if len(numbers) > 1:
-        raise ValueError(
-            f"These rows are of several sessions, got {len(numbers)} shapes at rest or angles of "
-            "friction; locate each alone."
+        raise Refusal(
+            "These rows are of several sessions",
+            f"{len(numbers)} shapes at rest or angles of friction",
+            "locate each alone",
         )
     *rest, friction = (float(v) for v in numbers.iloc[0])
     side = sides_of(si["moment"], si.get("moment_sd"), touch)

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, counted
 
 #: Suffixes of files that only trackers write.
@@ -24,16 +25,18 @@ def measurements(path: Path) -> pd.DataFrame:
     # Bytes before the numbers in each row, by version of the file.
     heads = {b"measV1": (40,), b"measv2": (44, 48), b"measv3": (41,)}.get(data[:6])
     if heads is None or data[6:8] != b"\0\0" or len(data) < 16:
-        raise ValueError(
+        raise Refusal(
             f"{path.name}: not a .measurements file of Whisk (it begins with {data[:6]!r}, not "
-            "measV1, measv2 or measv3); give the file that `measure` wrote."
+            "measV1, measv2 or measv3)",
+            remedy="give the file that `measure` wrote",
         )
     n, m = (int(v) for v in np.frombuffer(data, "<i4", 2, 8))
     body = len(data) - 16
     if n <= 0 or m not in (8, 9) or body % n or body // n - 16 * m not in heads:
-        raise ValueError(
+        raise Refusal(
             f"{path.name}: cut short or damaged: {n} rows of {m} measures do not fill "
-            f"{len(data)} bytes; copy the file again."
+            f"{len(data)} bytes",
+            remedy="copy the file again",
         )
     row = np.dtype({
         "names": ["head", "values"], "formats": [("<i4", 10), ("<f8", m)],
@@ -41,7 +44,7 @@ def measurements(path: Path) -> pd.DataFrame:
     })  # fmt: skip
     rows = np.frombuffer(data, row, n, 16)[::-1]
     if not (rows["head"][:, 9] == m).all() or not np.isfinite(rows["values"][:, [0, 4, 5]]).all():
-        raise ValueError(f"{path.name}: its rows contradict its header; copy the file again.")
+        raise Refusal(f"{path.name}: its rows contradict its header", remedy="copy the file again")
     head, values = rows["head"], rows["values"]
     names = ("length_px", "score", "angle_deg", "curvature_per_px", "follicle_x", "follicle_y",
              "tip_x", "tip_y")  # fmt: skip
@@ -56,11 +59,11 @@ def whiskers(path: Path) -> pd.DataFrame:
     data = path.read_bytes()
     if not data.startswith(b"bwhiskbin1\0\0"):
         kind = next((k.decode() for k in _REFUSED if data.startswith(k)), repr(data[:10]))
-        raise ValueError(
-            f"{path.name}: of the kind {kind}, where bwhiskbin1 can be read; convert it with "
-            "Whisk's whisker_convert."
+        raise Refusal(
+            f"{path.name}: of the kind {kind}, where bwhiskbin1 can be read",
+            remedy="convert it with Whisk's whisker_convert",
         )
-    broken = ValueError(f"{path.name}: cut short or damaged; copy the file again.")
+    broken = Refusal(f"{path.name}: cut short or damaged", remedy="copy the file again")
     if len(data) < 16:
         raise broken
     count, at, rows = int(np.frombuffer(data, "<i4", 1, len(data) - 4)[0]), 12, []
@@ -147,19 +150,19 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
             else:
                 file.visititems(look)
     except Exception as error:  # whatever h5py makes of a damaged file
-        raise ValueError(f"{path.name}: not readable as HDF5; copy the file again.") from error
+        raise Refusal(f"{path.name}: not readable as HDF5", remedy="copy the file again") from error
     if software:
         return segments(poses(path, software), path, likelihood, notes)
     if not found:
-        raise ValueError(
-            f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable; name "
-            "a file of tracked whiskers."
+        raise Refusal(
+            f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable",
+            remedy="name a file of tracked whiskers",
         )
     name, columns = next(iter(found.items()))
     if len(found) > 1:
         notes.append(f"There are {len(found)} tables of whiskers; this is {name}.")
     if len({len(v) for v in columns.values()}) > 1:
-        raise ValueError(f"{path.name}: its columns differ in length; copy the file again.")
+        raise Refusal(f"{path.name}: its columns differ in length", remedy="copy the file again")
     return pd.DataFrame(columns)
 
 
@@ -170,9 +173,10 @@ def points(path: Path) -> pd.DataFrame:
         return poses(path, "dlc")
     if {"frame", "x", "y"} <= set(raw.columns):
         return raw
-    raise ValueError(
+    raise Refusal(
         f"{path.name}: no tracker's file that is known, and no table of points with the "
-        f"columns frame, x and y; it has {checks.listed(map(str, raw.columns), 6)}."
+        "columns frame, x and y",
+        remedy=f"it has {checks.listed(map(str, raw.columns), 6)}",
     )
 
 
@@ -192,9 +196,9 @@ def poses(path: Path, software: str) -> pd.DataFrame:
         order = {str(name)[:4]: name for name in places.dims}  # plural in some versions
         places = places.transpose(*(order[n] for n in ("time", "indi", "keyp", "spac")))
     except Exception as error:  # whatever movement and what it reads by make of a damaged file
-        raise ValueError(
-            f"{path.name}: movement does not read it ({str(error).splitlines()[0][:80]}); give a "
-            "file of poses."
+        raise Refusal(
+            f"{path.name}: movement does not read it ({str(error).splitlines()[0][:80]})",
+            remedy="give a file of poses",
         ) from error
     n, whiskers, keypoints, axes = places.shape
     at = np.indices((n, whiskers, keypoints)).reshape(3, -1)
@@ -236,11 +240,11 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
             count = counted(len(points[lost].drop_duplicates(keys)), "whisker")
             notes.append(f"{count} without a likely first keypoint: left out.")
     if known.sum() < 2:
-        raise ValueError(f"{path.name}: it has no points with numbers in frame, x and y.")
+        raise Refusal(f"{path.name}: it has no points with numbers in frame, x and y.")
     points = points[known]
     for name in keys:
         if (points[name] % 1 != 0).any():
-            raise ValueError(
+            raise Refusal(
                 f"{path.name}: {name} must be whole numbers from 0; is another column in its place?"
             )
     rows, wrong = [], 0
@@ -252,10 +256,12 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
             row |= {"label": row["whisker"]} if len(keys) > 1 else {}
             rows.append({**row, **segment(*own[axes].to_numpy(float).T)})
     if 2 * wrong > len(rows):
-        raise ValueError(
-            f"{path.name}: the points of a whisker run to and fro; give each whisker's once and in "
-            "order from follicle to tip, and several whiskers as individuals or in a column "
-            "whisker."
+        raise Refusal(
+            f"{path.name}: the points of a whisker run to and fro",
+            remedy=(
+                "give each whisker's once and in order from follicle to tip, and several "
+                "whiskers as individuals or in a column whisker"
+            ),
         )
     return pd.DataFrame(rows)
 
@@ -271,15 +277,15 @@ def refuse_tracked(source: Any) -> None:
     )
     if isinstance(source, str | Path):
         if Path(source).suffix.lower() in TRACKERS:
-            raise ValueError(f"{Path(source).name} is of a tracker: {first}")
+            raise Refusal(f"{Path(source).name} is of a tracker: {first}")
     elif isinstance(source, pd.DataFrame):
         if {"frame", "follicle_x", "tip_x"} <= {*source} and "x" not in source:
-            raise ValueError(
+            raise Refusal(
                 "The table holds tracked whiskers, but points are what is missing: read Whisk's "
                 f".whiskers, say; {first}"
             )
         if {"frame", "x", "y"} <= {*source}:
-            raise ValueError(f"The table holds points of tracked whiskers; {first}")
+            raise Refusal(f"The table holds points of tracked whiskers; {first}")
 
 
 def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
@@ -295,9 +301,10 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"
     if not isinstance(source, str | Path):
-        raise ValueError(
-            f"source must be a path or a DataFrame, got {checks.shown(source)}; give a table of "
-            f"{row}s, or its file."
+        raise Refusal(
+            "source must be a path or a DataFrame",
+            checks.shown(source),
+            f"give a table of {row}s, or its file",
         )
     path = Path(source)
     if not path.is_file():
@@ -307,25 +314,26 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
         raw = _read(path)
     except ImportError as error:
         extra = "nwb" if path.suffix == ".nwb" else "tables"
-        raise ValueError(
-            f"{path.name}: reading {path.suffix} needs the package {error.name or 'missing here'}; "
-            f"run pip install 'weberwhisk[{extra}]', or save the table as CSV."
+        raise Refusal(
+            f"{path.name}: reading {path.suffix} needs the package {error.name or 'missing here'}",
+            remedy=f"run pip install 'weberwhisk[{extra}]', or save the table as CSV",
         ) from None
     except pd.errors.EmptyDataError:
-        raise ValueError(
-            f"{path.name}: the file is empty; give a header and one row per {row}."
+        raise Refusal(
+            f"{path.name}: the file is empty", remedy=f"give a header and one row per {row}"
         ) from None
     # Libraries of these formats raise any kind of exception for a broken file.
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
         if not reason.isprintable() or not 0 < len(reason) <= 200:  # some quote the file's bytes
             reason = type(error).__name__
-        raise ValueError(
-            f"{path.name}: not readable as a table ({reason}); save it as CSV."
+        raise Refusal(
+            f"{path.name}: not readable as a table ({reason})", remedy="save it as CSV"
         ) from None
     if not isinstance(raw.index, pd.RangeIndex):
-        raise ValueError(
-            f"{path.name}: rows have more cells than the header has names; name every column."
+        raise Refusal(
+            f"{path.name}: rows have more cells than the header has names",
+            remedy="name every column",
         )
     return _numbered(raw), path.name
 
@@ -349,7 +357,7 @@ def as_number(text: object) -> str:
 def _numbered(raw: pd.DataFrame) -> pd.DataFrame:
     if not raw.columns.is_unique:
         twice = raw.columns[raw.columns.duplicated()][0]
-        raise ValueError(f"there are two columns {str(twice)!r}; give each its own name.")
+        raise Refusal(f"there are two columns {str(twice)!r}", remedy="give each its own name")
     table = raw.set_axis(pd.RangeIndex(1, len(raw) + 1), axis=0)
     return table[table.notna().any(axis=1)] if table.shape[1] else table
 
@@ -410,7 +418,7 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
         with NWBHDF5IO(str(path), "r", load_namespaces=True) as file:
             trials = file.read().trials
             if trials is None:
-                raise ValueError("the NWB file has no trials")
+                raise Refusal("the NWB file has no trials")
             table = trials.to_dataframe().reset_index(drop=True)
     return table.drop(columns=[c for c in table if table[c].map(pd.api.types.is_list_like).any()])
 
@@ -421,7 +429,7 @@ def _bpod_trials(path: Path) -> pd.DataFrame:
 
     found = loadmat(path, simplify_cells=True)
     if "SessionData" not in found or "nTrials" not in found["SessionData"]:
-        raise ValueError("it has no SessionData of Bpod")
+        raise Refusal("it has no SessionData of Bpod")
     count = int(found["SessionData"].pop("nTrials"))
     fields = {name: np.atleast_1d(v) for name, v in found["SessionData"].items()}
     table = {

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Index, counted, methods_text
 from ..cues import Cue, ForceMap
 from ..cues.protocol import is_curved
@@ -144,18 +145,22 @@ def locate(
     """
     if isinstance(whisker, Calibration):
         if cue is not None or noise is not None:
-            raise ValueError(
-                "A calibration has its own cue and noise; leave both out, or write ww.locate("
-                "table, calibration.whisker, cue=calibration.cue, noise=calibration.noise)."
+            raise Refusal(
+                "A calibration has its own cue and noise",
+                remedy=(
+                    "leave both out, or write ww.locate(table, calibration.whisker, "
+                    "cue=calibration.cue, noise=calibration.noise)"
+                ),
             )
         columns, units = ({n: v for n, v in (given or {}).items() if n != "radial_distance"}
                           for given in (columns, units))  # fmt: skip
         raw, si, _ = read_contacts(table, columns, units)
         if ("angular_velocity" in si) != whisker.by_velocity:
             having, lacking = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
-            raise ValueError(
-                f"The {having} have an angular_velocity, the {lacking} have none, and their slopes "
-                "cannot be compared; give both or neither."
+            raise Refusal(
+                f"The {having} have an angular_velocity, the {lacking} have none, and their "
+                "slopes cannot be compared",
+                remedy="give both or neither",
             )
         options: Any = {"columns": columns, "units": units, "prior": prior, "touch": touch}
         return averaged(whisker, partial(locate, raw, **options), progress)
@@ -165,7 +170,7 @@ def locate(
     raw, si, found = read_contacts(table, columns, units)
     for name in (*RESULTS, MEASURED, OFF_BY, *(TOUCH_RESULTS if touch is not None else ())):
         if name in raw:
-            raise ValueError(f"The table has a column {name!r} already; rename or drop it.")
+            raise Refusal(f"The table has a column {name!r} already", remedy="rename or drop it")
     notes: list[str] = []
     several = [c for c in ("whisker", "identity") if c in raw and raw[c].nunique() > 1]
     if several:
@@ -182,7 +187,7 @@ def locate(
         si = planar(si, notes)
         if notes[-1:] == [IN_PLANE]:
             if is_curved(whisker):
-                raise ValueError(
+                raise Refusal(
                     "Six signals of a curved whisker do not say how its curvature lies; give "
                     "moment, axial_force and transverse_force in its plane, or a straight whisker; "
                     "of contacts one by one, write "
@@ -198,7 +203,7 @@ def locate(
     own: Any = whisker
     plain = Observer(own, cue, _receptors(noise, whisker, cue), prior or {})
     if plain.noise.is_categorical or not plain.noise.reads_signals:
-        raise ValueError(f"A table holds signals, which {plain.noise!r} does not report.")
+        raise Refusal(f"A table holds signals, which {plain.noise!r} does not report.")
     check_magnitudes(plain, y, found)
     touches: Index = np.full(len(raw), -1)
     if named is not None:
@@ -262,17 +267,18 @@ def _touches_of(raw: pd.DataFrame, touch: Any, notes: list[str]) -> NDArray[np.o
     """The touch of each row; None for rows that belong to none."""
     if isinstance(touch, str):
         if touch not in raw.columns:
-            raise ValueError(
-                f"The table has no column {touch!r} of touches; it has "
-                f"{checks.listed(map(str, raw.columns), 8)}."
+            raise Refusal(
+                f"The table has no column {touch!r} of touches",
+                remedy=f"it has {checks.listed(map(str, raw.columns), 8)}",
             )
         values = raw[touch].to_list()
     else:
         values = checks.several("touch", touch, "write the name of a column")
         if len(values) != len(raw):
-            raise ValueError(
-                f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "
-                "those in no touch None."
+            raise Refusal(
+                f"touch must have a value for each of {len(raw)} rows",
+                len(values),
+                "leave those in no touch None",
             )
     words = [str(value).strip().lower() for value in values]
     zero = np.array([word in ("0", "0.0") for word in words])
@@ -283,7 +289,7 @@ def _touches_of(raw: pd.DataFrame, touch: Any, notes: list[str]) -> NDArray[np.o
         empty = value is None or pd.isna(value) or word in ("", "false") or (zero[i] and between)
         out[i] = None if empty else value
     if any(str(value).strip().lower() == "true" for value in out):
-        raise ValueError(
+        raise Refusal(
             "touch is True where there is a touch, and does not say which: all would be one. "
             "Number them, in order of time by (t & ~t.shift(fill_value=False)).cumsum().where(t)."
         )
@@ -427,9 +433,10 @@ def _of_touches(
             numbers[rows] = alone[used]
         elif used.size:
             if np.ptp(reach[used]) > 0:
-                raise ValueError(
-                    "A touch has rows from both sides of a curved whisker, which reach differently "
-                    "far at the cue's angle; give the rows of each side a touch of their own."
+                raise Refusal(
+                    "A touch has rows from both sides of a curved whisker, which reach "
+                    "differently far at the cue's angle",
+                    remedy="give the rows of each side a touch of their own",
                 )
             several.append((rows, used))
     for begin in range(0, len(several), 64):

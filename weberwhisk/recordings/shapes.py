@@ -19,6 +19,7 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..mechanics import Profile
 
@@ -291,9 +292,10 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
     size, way = np.linalg.svd(every.T - every.mean(axis=1), full_matrices=False)[1:]
     off = size[2] / np.sqrt(every.shape[1])
     if off > most or size[2] > 0.2 * size[1]:
-        raise ValueError(
+        raise Refusal(
             f"The points sweep no plane: they lie {off:.3g} px (rms) off the nearest, and "
-            f"{size[1] / np.sqrt(every.shape[1]):.3g} px across it; give x and y of the whisker's."
+            f"{size[1] / np.sqrt(every.shape[1]):.3g} px across it",
+            remedy="give x and y of the whisker's",
         )
     if np.cross(way[0], way[1])[2] < 0:  # as seen from above: left stays left
         way[1] *= -1
@@ -360,8 +362,8 @@ def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Fl
     else:
         several = checks.several("contact", contact, "write the name of a column")
         if len(several) != len(tracking):
-            raise ValueError(
-                f"contact must have a value for each of {len(tracking)} rows, got {len(several)}."
+            raise Refusal(
+                f"contact must have a value for each of {len(tracking)} rows", len(several)
             )
         values = pd.Series(several, index=tracking.index)
     words = values.loc[table.index].astype(str).str.strip().str.lower()
@@ -372,9 +374,9 @@ def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame, plane:
     """Position of the pole in each row, complex pixels."""
     place, axes = checks.finite("pole", pole, "give its place in pixels"), plane.shape[1]
     if place.shape not in ((axes,), (len(tracking), axes)):
-        raise ValueError(
-            f"pole must be ({', '.join('xyz'[:axes])}), or that in each of {len(tracking)} rows, "
-            f"got an array of shape {place.shape}."
+        raise Refusal(
+            f"pole must be ({', '.join('xyz'[:axes])}), or that in each of {len(tracking)} rows",
+            f"an array of shape {place.shape}",
         )
     place = np.broadcast_to(place, (len(tracking), axes))
     x, y = plane @ place[tracking.index.get_indexer(table.index)].T

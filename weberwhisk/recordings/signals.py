@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Array
 from ..mechanics import Profile
 from ..whisker import Whisker
@@ -116,17 +117,18 @@ def tracked_signals(
         checks.non_negative_number(name, value, "give 0 for none")
     pole_sd_px = checks.positive_number("pole_sd_px", pole_sd_px, "give pixels, 0.5 say")
     if not 0 < checks.positive_number("false_alarms", false_alarms, "give 0.001, say") < 1:
-        raise ValueError(f"false_alarms must be below 1, got {false_alarms:g}; write 0.001, say.")
+        raise Refusal("false_alarms must be below 1", f"{false_alarms:g}", "write 0.001, say")
     length = float(profile.whisker.length)
     unit = 1e3 * length * ppm  # pixels
     plane = in_plane(table, 0.05 * unit)
     points = points_of(table, plane, unit)
     reach = float(np.median(points.arc[:, -1]))
     if not 0.1 < reach < 1.1:
-        raise ValueError(
-            f"The tracked whisker is {reach * length * 1e3:.3g} mm long at {ppm:g} pixels_per_mm, "
-            f"and whisker is {length * 1e3:.3g} mm: a tenth of it is needed, and no more than it "
-            "is long; correct one of them."
+        raise Refusal(
+            f"The tracked whisker is {reach * length * 1e3:.3g} mm long at {ppm:g} "
+            f"pixels_per_mm, and whisker is {length * 1e3:.3g} mm: a tenth of it is needed, "
+            "and no more than it is long",
+            remedy="correct one of them",
         )
     where = None if pole is None else pole_of(pole, tracking, table, plane) / unit
     shapes = Shapes(profile, reach)
@@ -142,9 +144,10 @@ def tracked_signals(
     given = None if contact is None else contacts_of(tracking, table, contact)
     free = free_frames(bends, false_alarms) if given is None else ~given
     if free.sum() < 10:
-        raise ValueError(
-            f"The shape at rest takes ten frames without contact, got {int(free.sum())}; give a "
-            "longer part of the video, or other contacts."
+        raise Refusal(
+            "The shape at rest takes ten frames without contact",
+            int(free.sum()),
+            "give a longer part of the video, or other contacts",
         )
     noise = _noise(shapes, own[free], points.take(free), extra)
     slips = _slips(own[free], points.take(free))
@@ -201,33 +204,40 @@ def tracked_signals(
 
 def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
     if not isinstance(tracking, pd.DataFrame) or not {"frame", "x", "y"} <= set(tracking):
-        raise ValueError(
-            "tracking needs the points x and y of each frame, as of a .whiskers file or a table of "
-            "points; measurements alone do not say the shape."
+        raise Refusal(
+            "tracking needs the points x and y of each frame, as of a .whiskers file or a "
+            "table of points",
+            remedy="measurements alone do not say the shape",
         )
     by = identified_by(tracking)
     known = sorted(tracking[by].unique().tolist())
     if identity is None and len(known) > 1 and tracking["frame"].duplicated().any():
-        raise ValueError(
-            f"Several whiskers were tracked ({by} {checks.listed(map(str, known), 6)}); say which "
-            f"with identity={known[0]!r}, or leave out fur with read_tracking(shortest_px=…)."
+        raise Refusal(
+            f"Several whiskers were tracked ({by} {checks.listed(map(str, known), 6)})",
+            remedy=(
+                f"say which with identity={known[0]!r}, or leave out fur with "
+                "read_tracking(shortest_px=…)"
+            ),
         )
     if identity is not None:
         identity = next((k for k in known if str(k) == str(identity)), identity)
         if identity not in known:
-            raise ValueError(
-                f"There is no {by} {identity!r}; there are {checks.listed(map(str, known), 6)}."
+            raise Refusal(
+                f"There is no {by} {identity!r}",
+                remedy=f"there are {checks.listed(map(str, known), 6)}",
             )
         tracking = tracking[tracking[by] == identity]
     twice = tracking.loc[tracking["frame"].duplicated(), "frame"]
     if len(twice):
-        raise ValueError(
-            f"Frame {twice.iloc[0]} has two rows of one {by}; leave out fur with "
-            "read_tracking(shortest_px=…, follicles=…), or rows that repeat."
+        raise Refusal(
+            f"Frame {twice.iloc[0]} has two rows of one {by}",
+            remedy=(
+                "leave out fur with read_tracking(shortest_px=…, follicles=…), or rows that repeat"
+            ),
         )
     enough = tracking["x"].map(len) >= 6
     if not enough.any():
-        raise ValueError("A shape takes six points or more in a frame; track more points.")
+        raise Refusal("A shape takes six points or more in a frame", remedy="track more points")
     return tracking[enough]
 
 
@@ -238,7 +248,7 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
     if missing:
         say = {"pixels_per_mm": "pixels_per_mm=20", "frame_rate": "frame_rate=500"}
         written = ", ".join(say[name] for name in missing)
-        raise ValueError(f"No file tells {' or '.join(missing)}; write {written}, say.")
+        raise Refusal(f"No file tells {' or '.join(missing)}", remedy=f"write {written}, say")
     for name, value in out.items():
         checks.positive_number(name, value, "give a number above zero")
     return float(out["pixels_per_mm"]), float(out["frame_rate"])

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
+from .._util.refusals import Refusal
 from .._util.values import Flags
 from .files import angle_and_curvature, hdf5, measurements, points, poses, segments, whiskers
 
@@ -217,15 +218,13 @@ def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
             if name not in table and other in table:
                 table = table.rename(columns={other: name})
     if not len(table):
-        raise ValueError(f"{path.name}: no whisker was tracked in it; give another file.")
+        raise Refusal(f"{path.name}: no whisker was tracked in it", remedy="give another file")
     for name in ("frame", "whisker"):
         if name not in table:
-            raise ValueError(f"{path.name}: no column tells the {name}; is it of another kind?")
+            raise Refusal(f"{path.name}: no column tells the {name}; is it of another kind?")
         values = pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float)
         if not (np.isfinite(values).all() and (values >= 0).all() and (values % 1 == 0).all()):
-            raise ValueError(
-                f"{path.name}: {name} must be whole numbers from 0; is the file damaged?"
-            )
+            raise Refusal(f"{path.name}: {name} must be whole numbers from 0; is the file damaged?")
         table[name] = values.astype(np.int64)
     if "label" not in table:
         table["label"] = -1

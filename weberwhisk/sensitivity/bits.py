@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._util.checks import generator, whole
+from .._util.refusals import Refusal
 from .._util.values import Array, pd, with_units
 from ..cues import Fused
 from ..cues.protocol import Cue
@@ -198,9 +199,10 @@ def alone(observer: Observer) -> list[Observer]:
 
 def _fused(observer: Observer) -> Fused:
     if not isinstance(observer.cue, Fused):
-        raise ValueError(
-            f"Only a fusion has parts, got {observer.cue!r}; write "
-            "ww.cues.Fused(cue, ww.cues.ForceMap())."
+        raise Refusal(
+            "Only a fusion has parts",
+            f"{observer.cue!r}",
+            "write ww.cues.Fused(cue, ww.cues.ForceMap())",
         )
     return observer.cue
 
@@ -213,9 +215,10 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     for i in kept:
         own = observer.noise.part(int(ends[-1]), int(ends[i]), int(ends[i + 1]))
         if own is None:
-            raise ValueError(
-                f"The noise must be given cue by cue, got {observer.noise!r}; "
-                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.1)), say."
+            raise Refusal(
+                "The noise must be given cue by cue",
+                f"{observer.noise!r}",
+                "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.1)), say",
             )
         noises.append(own)
     cue: Cue = fused.cues[kept[0]]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import campaign, checks
+from .._util.refusals import Refusal
 from .._util.values import Array, Shown, pd, with_units
 from ..cues import Compliance, ForceMap
 from ..inference import Observer, default_noise
@@ -225,20 +226,22 @@ def _contact(
     r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3")
     if "deflection_angle" not in observer.unknowns:
         if deflection_angle is not None:
-            raise ValueError(
-                f"{observer.cue!r} has no unknown deflection angle, got one; leave it out."
+            raise Refusal(
+                f"{observer.cue!r} has no unknown deflection angle", "one", "leave it out"
             )
         return observer.at_middle(r.reshape(-1, 1))
     if deflection_angle is None:
-        raise ValueError(
-            f"{observer.cue!r} needs the deflection angle of each contact, got none; "
-            "write deflection_angle=np.radians(10), say."
+        raise Refusal(
+            f"{observer.cue!r} needs the deflection angle of each contact",
+            "none",
+            "write deflection_angle=np.radians(10), say",
         )
     theta = checks.angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
     if np.any(theta <= 0):
-        raise ValueError(
-            "A contact deflects the whisker by more than 0, got deflection_angle="
-            f"{np.min(theta):g}; write np.radians(5), say."
+        raise Refusal(
+            "A contact deflects the whisker by more than 0",
+            f"deflection_angle={np.min(theta):g}",
+            "write np.radians(5), say",
         )
     return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
 
@@ -340,12 +343,12 @@ def jnd_sweep(
     3            0.10                40.0           0.960
     """
     if not isinstance(whisker, Whisker):
-        raise ValueError(
-            f"A sweep needs a Whisker, got {whisker!r}; write ww.Whisker.from_identity('C2'), say."
+        raise Refusal(
+            "A sweep needs a Whisker", f"{whisker!r}", "write ww.Whisker.from_identity('C2'), say"
         )
     fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
     if any(np.ndim(value) for value in fields.values()):
-        raise ValueError(f"A sweep has one whisker, got {whisker!r}; give its fields as numbers.")
+        raise Refusal("A sweep has one whisker", f"{whisker!r}", "give its fields as numbers")
     criterion_factor(criterion)
     k = checks.positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
     r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
@@ -436,7 +439,7 @@ def touches_jnd(
     radial_distance = checks.positive_number("radial_distance", radial_distance, "give metres")
     angles = np.atleast_1d(checks.finite("deflection_angles", deflection_angles, "give radians"))
     if not angles.size:
-        raise ValueError("deflection_angles must be one or more, got none; give radians.")
+        raise Refusal("deflection_angles must be one or more", "none", "give radians")
     numbers = [checks.whole("counts", n, "give numbers of touches") for n in np.ravel(counts)]
     n_readings = checks.whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)

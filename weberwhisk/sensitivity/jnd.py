@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from .._util.refusals import Refusal
 from .._util.values import Array, Flags
 from ..inference.observer import Observer
 from ..mechanics.contact import Outcome
@@ -49,12 +50,10 @@ def criterion_factor(criterion: str = SD) -> float:
         return 1.0
     match = _PATTERN.match(criterion) if isinstance(criterion, str) else None
     if match is None:
-        raise ValueError(f"The criterion {criterion!r} is unknown; {_EXAMPLES}.")
+        raise Refusal(f"The criterion {criterion!r} is unknown", remedy=_EXAMPLES)
     percent = float(match.group(1))
     if not 50 < percent < 100:
-        raise ValueError(
-            f"A criterion lies between 50 and 100 per cent, got {percent:g}; {_EXAMPLES}."
-        )
+        raise Refusal("A criterion lies between 50 and 100 per cent", f"{percent:g}", _EXAMPLES)
     z = float(ndtri(percent / 100))
     return z if match.group(2).lower() == "yes/no" else float(np.sqrt(2)) * z
 
@@ -174,10 +173,10 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     if np.any((sd == 0) & held[..., None]):
-        raise ValueError(
-            "A signal without noise leaves no JND, got one in "
-            f"{observer.noise!r} where the signal is 0; give it a floor, such as "
-            "ww.receptors.GeneralisedWeber(0.1, floor=0.1)."
+        raise Refusal(
+            "A signal without noise leaves no JND",
+            f"one in {observer.noise!r} where the signal is 0",
+            "give it a floor, such as ww.receptors.GeneralisedWeber(0.1, floor=0.1)",
         )
     unit = _contact_scale(contact)
     # Rescaled by the noise and the contact, so that a small determinant means singular.
@@ -191,10 +190,11 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
         variance = np.where(lost.any(axis=(-2, -1), keepdims=True), np.inf, variance)
     else:
         if np.any(np.linalg.det(correlation) < 1e-14):
-            raise ValueError(
-                f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} unknowns "
-                f"there is no best combination, got {observer.noise!r}; "
-                "write a correlation between -1 and 1."
+            raise Refusal(
+                f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} "
+                "unknowns there is no best combination",
+                f"{observer.noise!r}",
+                "write a correlation between -1 and 1",
             )
         information = np.swapaxes(scaled, -1, -2) @ np.linalg.inv(correlation) @ scaled
         variance = _inverse(information)
