@@ -22,6 +22,7 @@ from weberwhisk.behaviour import (
     Trials,
     WeberFit,
     fit_weber,
+    read_trials,
     simulate_trials,
     weber_law_test,
 )
@@ -213,7 +214,8 @@ def test_summary(fit: WeberFit) -> None:
 def test_threshold_is_the_posterior_of_the_threshold(fit: WeberFit) -> None:
     table = fit.threshold()
     assert table["standard"].tolist() == [1.0, 2.0]
-    assert table["criterion"].unique().tolist() == ['75 % "second greater", 2AFC, lapses removed']
+    criterion = '75 % "second greater", 2AFC, lapses and bias removed'
+    assert table["criterion"].unique().tolist() == [criterion]
     # Weber's law: the same ratio at every standard.
     np.testing.assert_allclose(table["comparison"] / table["standard"], table["comparison"][0])
     # By draws, each through the closed form.
@@ -225,6 +227,51 @@ def test_threshold_is_the_posterior_of_the_threshold(fit: WeberFit) -> None:
         table.loc[0, ["lower", "comparison", "upper"]].astype(float),
         np.quantile(point, ENDS), atol=0.15 * sd,
     )  # fmt: skip
+
+
+def late_animal() -> WeberFit:
+    """An animal that calls a comparison equal where it is greater by a quarter."""
+    levels = np.array([170.0, 184, 198, 212, 226, 240, 254, 268, 282, 296])
+    point = 246.0
+    p = stats.norm.cdf((levels - point) / (0.1 * np.hypot(200, point)))
+    frame = pd.DataFrame({"stimulus_1": 200.0, "stimulus_2": levels, "n": 240,
+                          "n_greater": np.round(240 * p)})  # fmt: skip
+    return fit_weber(read_trials(frame))
+
+
+def test_thresholds_say_what_was_taken_out_and_the_report_has_the_point_of_equality() -> None:
+    """The line "75 %, lapses removed: 213.6" stood where 8 % of the answers were greater."""
+    fit = late_animal()
+    sensitivity, curve = fit.threshold().loc[0], fit.threshold(with_bias=True).loc[0]
+    assert sensitivity["criterion"].endswith("lapses and bias removed")
+    assert curve["criterion"].endswith("lapses removed, bias kept")
+    equal = fit.subjective_equality().loc[0]
+    assert equal["criterion"] == '50 % "second greater", 2AFC, lapses removed, bias kept'
+    assert equal["comparison"] == pytest.approx(246, abs=2)
+    assert equal["lower"] < equal["comparison"] < equal["upper"]
+    # On the curve, where the proportion is as the fitted curve has it; the other is not.
+    there, not_there = fit.psychometric([curve["comparison"], sensitivity["comparison"]])["median"]
+    assert there == pytest.approx(0.75, abs=0.02)
+    assert not_there < 0.25
+    text = fit.report()
+    assert 'From standard 200, point of subjective equality (50 % "second greater", 2AFC, ' in text
+    assert f"bias kept): comparison {equal['comparison']:.4g} (" in text
+    assert "lapses and bias removed: comparison 21" in text
+    (row,) = json.loads(fit.to_json())["points_of_subjective_equality"]
+    assert row["comparison"] == equal["comparison"]
+
+
+def test_a_criterion_is_kept_and_named_and_what_has_no_bias_names_none() -> None:
+    yes = fit_weber(simulate_trials(task="yes/no", seed=1))
+    assert yes.threshold()["criterion"][0] == '75 % "yes", yes/no, lapses removed, criterion kept'
+    assert yes.threshold(with_bias=False)["criterion"][0].endswith("lapses and criterion removed")
+    assert "subjective equality" not in yes.report()
+    with pytest.raises(ValueError, match="of a choice between two stimuli, got the task yes/no"):
+        yes.subjective_equality()
+    plain = fit_weber(simulate_trials(seed=1), bias="none")
+    assert plain.threshold()["criterion"][0].endswith("2AFC, lapses removed")
+    assert "subjective equality" not in plain.report()  # the standards, by assumption
+    np.testing.assert_allclose(plain.subjective_equality()["difference"], 0, atol=1e-6)
 
 
 def test_thresholds_do_not_carry_lapses() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -370,3 +371,20 @@ def test_reading_off_a_fit_and_its_draws_for_arviz() -> None:
         fit.interval(parameter="sprad")
     with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 1"):
         fit.interval(1.0)
+    with pytest.raises(ValueError, match=re.escape("write interval(parameter='spread')")):
+        fit.interval("spread")  # type: ignore[arg-type]
+
+
+def test_the_interval_of_the_spread_is_that_of_a_density_from_zero() -> None:
+    """The node at 0 was a lump: the interval began at exactly 0 where it held 5 % and more."""
+    fit = fit_population(simulate_population(8, spread=0.0, trials_per_level=10, seed=1)[0],
+                         check=False)  # fmt: skip
+    low, high = fit.interval(parameter="spread")
+    assert fit.population is not None
+    x, mass = fit.population.nodes("spread")
+    assert mass[0] > 0.05
+    shares = np.r_[2.0, np.ones(x.size - 2), 2.0]
+    rise = CubicSpline(x, mass * shares).antiderivative()
+    below = [float((rise(end) - rise(0)) / (rise(x[-1]) - rise(0))) for end in (low, high)]
+    np.testing.assert_allclose(below, [0.025, 0.975], atol=3e-4)
+    assert tuple(fit.summary().loc["spread", ["lower", "upper"]]) == (low, high)

@@ -18,6 +18,7 @@ from .effects import Effect
 from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
+from .tasks import SignedChoice
 from .trials import STIMULI, Trials
 from .verdict import FitStatus, lapse_sensitivity
 
@@ -124,8 +125,8 @@ class Estimates(Shown):
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
         """One row a parameter: mean, sd, median, MAP, intervals, prior.
 
-        `lower` and `upper` leave out as much on either side; ``arviz.hdi(fit.to_arviz())`` has the
-        shortest interval.
+        `lower` and `upper` leave out as much on either side; ``arviz.hdi(fit.to_arviz(), 0.95)``
+        has the shortest interval of 95 % (without a number ArviZ takes another one).
         """
         rows = []
         for name in self.parameters:
@@ -155,6 +156,8 @@ class Estimates(Shown):
     ) -> pd.DataFrame:
         """Comparisons at which the observer answers with that proportion, lapses removed.
 
+        The column `criterion` says what else was: by default the bias, too.
+
         Parameters
         ----------
         standard : array_like, optional
@@ -164,9 +167,9 @@ class Estimates(Shown):
         mass : float
             Of the interval, taken from the posterior of the threshold itself.
         with_bias : bool, optional
-            Leave the response bias in: the point as it lies on the curve. Without it the threshold
-            is the observer's sensitivity, and the 50 % point is the standard. By default a bias is
-            taken out, and the criterion of yes/no and same–different tasks left in.
+            Leave the response bias in: the point as it lies on the curve, lapses removed. Without
+            it the threshold is the observer's sensitivity, and the 50 % point is the standard. By
+            default a bias is removed, and the criterion of yes/no and same–different tasks kept.
         upward : bool
             The side, for percent-correct and same–different tasks.
 
@@ -180,6 +183,7 @@ class Estimates(Shown):
         model, ends_at = self.model, tails(mass)
         biased = model.task.bias_name == "criterion" if with_bias is None else with_bias
         biased = biased and bool(model.group_names)
+        words = curve.criterion(model.task, proportion, biased if model.group_names else None)
         at, even = np.array([ends_at[0], 0.5, ends_at[1]]), (np.arange(200) + 0.5) / 200
         given = self.standards if standard is None else standard
         rows = []
@@ -201,7 +205,7 @@ class Estimates(Shown):
             rows.append(
                 {
                     "standard": s,
-                    "criterion": curve.criterion(model.task, proportion),
+                    "criterion": words,
                     "comparison": ends[1],
                     "lower": ends[0],
                     "upper": ends[2],
@@ -211,6 +215,40 @@ class Estimates(Shown):
                 }
             )
         return pd.DataFrame(rows)
+
+    def subjective_equality(
+        self, standard: ArrayLike | None = None, *, mass: float = 0.95
+    ) -> pd.DataFrame:
+        """Points of subjective equality (PSE): comparisons that seem equal to the standard.
+
+        Either answer is as likely there, lapses removed; the standard itself where the observer has
+        neither bias nor effects. Columns are those of `threshold`: `difference` is the constant
+        error.
+
+        Parameters
+        ----------
+        standard, mass
+            As for `threshold`.
+
+        Raises
+        ------
+        ValueError
+            For a task whose answers do not say which of two stimuli is the greater.
+
+        Examples
+        --------
+        >>> from weberwhisk import fit_weber, simulate_trials
+        >>> fit = fit_weber(simulate_trials(weber_fraction=0.1, bias=-1.0, seed=1))
+        >>> low, high = fit.subjective_equality().loc[0, ["lower", "upper"]]
+        >>> low < 1.153 < high
+        True
+        """
+        if not isinstance(self.model.task, SignedChoice):
+            raise ValueError(
+                f"the point of subjective equality is of a choice between two stimuli, got the "
+                f"task {self.model.task.name}; use threshold(), whose proportion you choose."
+            )
+        return self.threshold(standard, 0.5, mass=mass, with_bias=True)
 
     def _moved(self, draws: Draws) -> list[tuple[Effect, Array]]:
         """The effects with their draws."""
@@ -305,7 +343,8 @@ def check_fit(fit: object, name: str = "fit") -> None:
 
 def tails(mass: float) -> tuple[float, float]:
     """Probabilities below the ends of an equal-tailed interval."""
-    value = checks.between("mass", mass, "write for example 0.95")
+    hint = f"write interval(parameter={mass!r})" if isinstance(mass, str) else "write 0.95, say"
+    value = checks.between("mass", mass, hint)
     return 0.5 - value / 2, 0.5 + value / 2
 
 

@@ -25,7 +25,15 @@ from .._util.campaign import one_blas_thread
 from .._util.output import plain
 from .._util.refusals import Refusal
 from .._util.sampling import ArvizData, to_arviz
-from .._util.values import Array, Shown, counted, interval_text, methods_text, weighted_quantiles
+from .._util.values import (
+    Array,
+    Shown,
+    counted,
+    density_quantiles,
+    interval_text,
+    methods_text,
+    weighted_quantiles,
+)
 from ..inference.coordinates import in_words
 from .criticism import FALSE_ALARMS
 from .estimates import tails
@@ -103,12 +111,19 @@ class PopulationFit(Shown):
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
-        return weighted_quantiles(*self._nodes(parameter), probability)
+        values, mass = self._nodes(parameter)
+        if parameter == "spread":  # even nodes, the first at 0: a density, not a lump at 0
+            return density_quantiles(values, mass / trapezoid_shares(values.size), probability)
+        return weighted_quantiles(values, mass, probability)
 
     def interval(
         self, mass: float = 0.95, parameter: str = "weber_fraction"
     ) -> tuple[float, float]:
-        """Equal-tailed posterior interval."""
+        """Equal-tailed posterior interval of a parameter.
+
+        That of `spread` begins above 0 whatever the animals say, since 2.5 % of it lie below: it
+        cannot show that animals differ. `status` says whether they inform of it.
+        """
         low, high = self.quantile(parameter, tails(mass))
         return float(low), float(high)
 
@@ -119,7 +134,7 @@ class PopulationFit(Shown):
             values, weight = self._nodes(name)
             mean = weight @ values
             sd = np.sqrt(weight @ (values - mean) ** 2)
-            rows.append((mean, sd, *weighted_quantiles(values, weight, [0.5, first, last]), mass))
+            rows.append((mean, sd, *self.quantile(name, [0.5, first, last]), mass))
         columns = ["mean", "sd", "median", "lower", "upper", "mass"]
         return pd.DataFrame(rows, pd.Index(self.parameters, name="parameter"), columns)
 
@@ -369,6 +384,11 @@ def normal_weights(x: Array, mean: Array, sd: Array) -> Array:
     return np.asarray(out)
 
 
+def trapezoid_shares(count: int) -> Array:
+    """Weights of even nodes in the trapezoid rule, in steps (count,)."""
+    return np.r_[0.5, np.ones(count - 2), 0.5]
+
+
 def log_product(log_like: Array, weights: Array) -> Array:
     """ln of likelihoods (..., X) averaged with each column of weights (X, N), (..., N)."""
     top = log_like.max(axis=-1, keepdims=True)
@@ -445,8 +465,7 @@ def integrate_population(
         with np.errstate(divide="ignore"):
             log_mass = by_animal.sum(axis=0).reshape(mu.shape) + log_prior(mu) + spread.logpdf(tau)
             # Half at either end, the trapezoid rule: exact at a spread of 0.
-            halves = [np.r_[0.5, np.ones(n - 2), 0.5] for n in mu.shape]
-            log_mass += np.log(width * np.outer(*halves))
+            log_mass += np.log(width * np.outer(*map(trapezoid_shares, mu.shape)))
         top = float(log_mass.max())
         mass = np.exp(log_mass - top)
         ranges = [

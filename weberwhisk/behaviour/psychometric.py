@@ -108,9 +108,22 @@ def _chance(
     return task.chance(d, weight * np.asarray(bias, dtype=float)[..., None])
 
 
-def criterion(task: Task, proportion: float) -> str:
-    """The criterion of a threshold in words."""
-    return f"{100 * proportion:.4g} % {task.answer}, {task.name.split()[0]}, lapses removed"
+def criterion(task: Task, proportion: float, with_bias: bool | None = None) -> str:
+    """The criterion of a threshold in words, with what was removed from the curve and what kept.
+
+    `with_bias` is whether a bias was left in; None where the observer has none.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import task_named
+    >>> criterion(task_named("2AFC"), 0.75, with_bias=False)
+    '75 % "second greater", 2AFC, lapses and bias removed'
+    """
+    removed = "lapses removed"
+    if with_bias is not None:
+        bias = task.bias_name or "bias"
+        removed = f"lapses removed, {bias} kept" if with_bias else f"lapses and {bias} removed"
+    return f"{100 * proportion:.4g} % {task.answer}, {task.name.split()[0]}, {removed}"
 
 
 def check_proportion(task: Task, proportion: float) -> float:

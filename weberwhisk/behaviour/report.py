@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 import numpy as np
@@ -70,13 +71,31 @@ def _answer(fit: Estimates) -> list[str]:
             )
     lines += fit.remarks
     if fit.status not in (FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NO_TRIALS):
+        for row in _equality(fit):
+            lines.append(
+                f"From standard {row['standard']:.4g}, point of subjective equality "
+                f"({row['criterion']}): {_comparison(row)}."
+            )
         for row in fit.threshold().to_dict(orient="records"):
             lines.append(
-                f"From standard {row['standard']:.4g}, {row['criterion']}: comparison "
-                f"{_number(row['comparison'])} "
-                f"({_number(row['lower'])} to {_number(row['upper'])})."
+                f"From standard {row['standard']:.4g}, {row['criterion']}: {_comparison(row)}."
             )
     return lines
+
+
+def _equality(fit: Estimates) -> list[dict[Hashable, Any]]:
+    """Points of subjective equality by standard; none where they are the standards by assumption,
+    or the task has none."""
+    moved = bool(fit.model.group_names or fit.effects)
+    if not (moved and isinstance(fit.model.task, SignedChoice)):
+        return []
+    return fit.subjective_equality().to_dict("records")
+
+
+def _comparison(row: Mapping[Hashable, Any]) -> str:
+    """A comparison with its interval."""
+    middle, low, high = (_number(row[name]) for name in ("comparison", "lower", "upper"))
+    return f"comparison {middle} ({low} to {high})"
 
 
 def _limits(fit: Estimates) -> list[str]:
@@ -217,6 +236,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
         "notes": list(fit.notes),
         "parameters": fit.summary().to_dict(orient="index"),
         "thresholds": fit.threshold().to_dict("records"),
+        "points_of_subjective_equality": _equality(fit),
         "lapse_sensitivity": fit.lapse_sensitivity.to_dict("records"),
         "log_evidence": fit.log_evidence,
         "error": fit.posterior.error,
