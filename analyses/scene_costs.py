@@ -170,7 +170,7 @@ def rotations(samples: int) -> Array:
     return np.unique(turned[phase <= np.pi / 2])
 
 
-def body(kind: Kind, whisker: Any, name: str, at: int) -> ww.mechanics.Body:
+def body(kind: Kind, whisker: Any, name: str, at: int) -> ww.sweeping.Body:
     """The object, touched by the resting whisker at rotation 0."""
     length = (
         ww.mechanics.Profile.of(whisker).whisker.length if kind.bow == 0 else whisker.whisker.length
@@ -187,11 +187,11 @@ def body(kind: Kind, whisker: Any, name: str, at: int) -> ww.mechanics.Body:
     x, y = r * np.cos(rest), r * np.sin(rest)
     slope = np.arctan(2 * kind.bow / length * x)
     if name == "peg":
-        return ww.mechanics.peg(x, y)
+        return ww.sweeping.peg(x, y)
     if name == "wall":
-        return ww.mechanics.wall(x, y, slope + INCIDENCE[at])
+        return ww.sweeping.wall(x, y, slope + INCIDENCE[at])
     radius = ROUND * length
-    return ww.mechanics.cylinder(x + radius * np.sin(slope), y - radius * np.cos(slope), radius)
+    return ww.sweeping.cylinder(x + radius * np.sin(slope), y - radius * np.cos(slope), radius)
 
 
 def contacts(kind: Kind, identity: str, name: str, size: Size) -> Contacts:
@@ -206,7 +206,7 @@ def contacts(kind: Kind, identity: str, name: str, size: Size) -> Contacts:
             b = ww.press(whisker, r, first + turned, kind.friction, roll=kind.roll)
         else:
             angles = np.concatenate([[-0.02], turned])
-            b = ww.mechanics.sweep(
+            b = ww.sweeping.sweep(
                 whisker, body(kind, whisker, name, at), angles, kind.friction
             ).bending
         held = np.asarray(b.held)

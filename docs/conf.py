@@ -133,13 +133,13 @@ numpydoc_xref_ignore: Any = "all"  # but for what has a page, below
 #: Modules whose public names are the reference, in the order of the argument.
 MODULES = {
     "weberwhisk": "What `import weberwhisk as ww` gives",
-    "weberwhisk.mechanics": "Bending, flick-past, sweeps and vibration",
+    "weberwhisk.mechanics": "Bending, flick-past and vibration",
     "weberwhisk.cues": "The paper's methods",
     "weberwhisk.receptors": "Receptor noise",
     "weberwhisk.inference": "Posteriors and observers",
     "weberwhisk.recordings": "Measured contacts: tables, trackers, sensors",
     "weberwhisk.array": "Where whiskers stand, and an object's place from all of them",
-    "weberwhisk.sweeping": "Contacts followed along a sweep",
+    "weberwhisk.sweeping": "Sweeps over objects, and contacts followed along them",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import behaviour, cues, design, mechanics, receptors, recordings
+from weberwhisk import behaviour, cues, design, mechanics, receptors, recordings, sweeping
 from weberwhisk._util.values import LONGEST, Fields, Line
 from weberwhisk.behaviour import effects
 
@@ -21,7 +21,7 @@ CONF = Path(__file__).parent.parent / "docs" / "conf.py"
 #: The modules whose public names the reference lists.
 PUBLIC = re.findall(r'^    "weberwhisk\.(.+?)":', CONF.read_text("utf-8"), re.M)
 #: Protocols, rows of named numbers, and a filter of many contacts.
-OTHERS = {"Component", "Effect", "Encoding", "Estimate", "Published", "SweepFilter"}
+OTHERS = {"Component", "Effect", "Encoding", "Estimate", "Published"}
 
 
 def public_classes() -> dict[str, type]:
@@ -75,7 +75,7 @@ def objects() -> list[Any]:
         ww.jnd_curve(observer, [10e-3, 20e-3], n_readings=4, seed=1), recordings.HingedTap(),
         few, ww.ArrayObserver(few, angle_sd=third), *few.whiskers.values(), afferents,
         receptors.SpikeCount(afferents), mechanics.modes.modes(whisker, count=3),
-        mechanics.Spiral(third, third), mechanics.Parabola(third), mechanics.peg(20e-3, third),
+        mechanics.Spiral(third, third), mechanics.Parabola(third), sweeping.peg(20e-3, third),
     ]  # fmt: skip
 
 

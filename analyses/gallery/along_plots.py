@@ -60,7 +60,7 @@ def along_push(table: pd.DataFrame) -> Figure:
 
 @styled
 def lateral_sweep(table: pd.DataFrame) -> Figure:
-    """True distance and the one followed from the moment, with its 95 % band, an object a panel.
+    """True distance and the one followed from the moment, an object a panel.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def lateral_sweep(table: pd.DataFrame) -> Figure:
     axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
     for ax, (name, rows) in zip(axes, groups, strict=True):
         push, ends = rows["push_deg"], (rows["lower_mm"], rows["upper_mm"])
-        ax.fill_between(push, *ends, color=COLOURS[4], alpha=0.35, label="95 % of the posterior")
-        ax.plot(push, rows["radial_distance_mm"], color=COLOURS[0], label="followed")
+        ax.fill_between(push, *ends, color=COLOURS[4], alpha=0.35, label="95 % of noisy sweeps")
+        ax.plot(push, rows["radial_distance_mm"], color=COLOURS[0], label="exact moments")
         ax.plot(push, rows["true_distance_mm"], "--", color="black", label="true")
         ax.set(title=str(name), xlabel=PUSH)
     figure.supylabel("radial distance (mm)")

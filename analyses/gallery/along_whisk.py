@@ -19,11 +19,9 @@ from scipy.optimize import elementwise
 
 from weberwhisk import Observer, Outcome, Whisker, press
 from weberwhisk.cues import ForceMap
-from weberwhisk.mechanics import cylinder, peg, sweep, wall
-from weberwhisk.mechanics.objects import Body, Sweep
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sensitivity import fisher_jnd
-from weberwhisk.sweeping import SweepFilter
+from weberwhisk.sweeping import Body, Sweep, cylinder, follow, peg, sweep, wall
 
 Array = np.ndarray
 
@@ -113,6 +111,7 @@ def lateral_sweep(
     *,
     weber_fraction: float = 0.1,
     radius: float = 15e-3,
+    n_sweeps: int = 20,
     seed: int = 1,
 ) -> pd.DataFrame:
     """The distance followed along a sweep, from readings of the moment alone (§2g).
@@ -123,38 +122,44 @@ def lateral_sweep(
         As of `resolution_along_push`.
     radius : float
         Of the cylinder beside the peg, m.
+    n_sweeps : int
+        Sweeps with noise in every moment.
     seed : int
 
     Returns
     -------
     DataFrame
-        `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (posterior mean),
-        `distance_sd_mm`, `lower_mm` and `upper_mm` (95 %).
+        `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (followed from exact
+        moments), `lower_mm` and `upper_mm` (between which 95 % of the noisy sweeps that still
+        follow it are), `lost` (the share of those that do not, as no contact near the one before
+        has such a moment).
     """
     angles = np.atleast_1d(push)
-    rng = np.random.default_rng(seed)
+    noise, rng = Weber(weber_fraction), np.random.default_rng(seed)
     parts = []
     for name, body in bodies(radial_distance, [radius]).items():
         bent = sweep(whisker, body, np.concatenate([[-0.2], angles])).bending
         moment, true = (np.asarray(a)[1:] for a in (bent.moment, bent.radial_distance))
         held = np.isfinite(moment)
-        reading = moment[held] * (1 + weber_fraction * rng.standard_normal(int(held.sum())))
-        track = SweepFilter(whisker, Weber(weber_fraction))(angles[held], reading, seed=seed)
+        moment = moment[held]
+        readings = [noise.sample(moment[:, None], rng)[:, 0] for _ in range(n_sweeps)]
+        noisy = [follow(whisker, angles[held], reading).radial_distance for reading in readings]
+        lower, upper = np.nanquantile(noisy, [0.025, 0.975], axis=0)
         parts.append(
             pd.DataFrame(
                 {
                     "object": name,
                     "push": angles[held],
                     "true_distance": true[held],
-                    "radial_distance": track.radial_distance,
-                    "distance_sd": track.distance_sd,
-                    "lower": track.interval[:, 0],
-                    "upper": track.interval[:, 1],
+                    "radial_distance": follow(whisker, angles[held], moment).radial_distance,
+                    "lower": lower,
+                    "upper": upper,
+                    "lost": np.isnan(noisy).mean(axis=0),
                 }
             )
         )
     table = pd.concat(parts, ignore_index=True)
-    return with_units(table, table.columns[2:], ["push"])
+    return with_units(table, ["true_distance", "radial_distance", "lower", "upper"], ["push"])
 
 
 def limits(

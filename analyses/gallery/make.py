@@ -150,7 +150,8 @@ def lateral_sweep(asked: Asked) -> Made:
     """the distance of a peg and of a cylinder, followed along a sweep by the moment (§2g)"""
     push = np.radians(np.arange(1.0, 31.0, 5.0 if asked.short else 1.0))
     middle = 0.5 * W.length
-    table = along_whisk.lateral_sweep(W, middle, push, seed=asked.seed)
+    draws = 3 if asked.short else 20
+    table = along_whisk.lateral_sweep(W, middle, push, n_sweeps=draws, seed=asked.seed)
     return _made("lateral-sweep", table, along_plots.lateral_sweep(table))
 
 

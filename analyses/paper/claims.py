@@ -35,10 +35,10 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.mechanics import closed_form, cylinder, signal_jacobian, sweep
+from weberwhisk.mechanics import closed_form, signal_jacobian
 from weberwhisk.receptors import Weber
 from weberwhisk.sensitivity import weber_propagation
-from weberwhisk.sweeping import follow
+from weberwhisk.sweeping import cylinder, follow, sweep
 
 Array = np.ndarray
 L = float(WHISKER.length)

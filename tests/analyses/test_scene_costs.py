@@ -85,7 +85,7 @@ def test_the_force_on_a_tip_is_tilted_as_the_wall_is() -> None:
     met = costs.contacts(kind, "C2", "wall", size)
     again = met.press()
     whisker = kind.whisker("C2")
-    swept = ww.mechanics.sweep(
+    swept = ww.sweeping.sweep(
         whisker,
         costs.body(kind, whisker, "wall", 1),
         np.concatenate([[-0.02], costs.rotations(6)]),

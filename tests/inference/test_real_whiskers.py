@@ -24,10 +24,9 @@ from weberwhisk.cues import (
 )
 from weberwhisk.mechanics import Profile, Spiral, profile
 from weberwhisk.mechanics.curved_surface import CurvedSurface, curved_surface
-from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.receptors import GeneralisedWeber
 from weberwhisk.recordings import methods_paragraph
 from weberwhisk.sensitivity import prior_draws
-from weberwhisk.sweeping import SweepFilter
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)
@@ -418,9 +417,6 @@ def test_whatever_takes_a_named_whisker_as_straight_says_so():
     array = ww.ArrayObserver(ww.WhiskerArray("rat", "right").protract(0.5).only(["C2"]))
     place = array.array.whiskers["C2"].place(20e-3, 0.1)
     assert said in ww.place(array, array.read(place, seed=1)).note
-    push, moments = np.array([0.05, 0.1]), ww.press(plain, 20e-3, [0.05, 0.1]).moment
-    track = SweepFilter(plain, particles=200)(push, moments, seed=1)
-    assert track.note == Observer(plain, ForceMap("moment"), Weber(0.1)).note != ""
     table = pd.DataFrame(readings[:1], columns=["moment", "axial_force"])
     located = ww.locate(table, plain)
     assert any("write curvature=0 of a straight whisker" in n for n in located.attrs["notes"])

@@ -218,7 +218,7 @@ CLAMPED_ONLY = {
     "choose_model": lambda: ww.choose_model(W, 30e-3, 0.1),
     "profile": lambda: ww.mechanics.Profile.of(W),
     "rod": lambda: mechanics.rod.press(W, [30e-3, 5e-3, 0.0]),
-    "sweep": lambda: ww.mechanics.sweep(W, mechanics.peg(30e-3, 0.0), [0.0, 0.1]),
+    "sweep": lambda: ww.sweeping.sweep(W, ww.sweeping.peg(30e-3, 0.0), [0.0, 0.1]),
     "modes": lambda: mechanics.modes.modes(W),
     "moment": lambda: closed_form.moment(W, 30e-3, 0.1),
     "slopes": lambda: closed_form.signal_jacobian(W, 30e-3, 0.1),

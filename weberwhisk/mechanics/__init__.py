@@ -18,11 +18,9 @@ if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import Choice, choose_model
     from .modes import Modes
-    from .objects import Sweep, sweep
     from .profile import rest_angle
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
-    from .touch import Body, cylinder, peg, wall
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
@@ -30,16 +28,14 @@ _HOME = {
     "shape": ("Parabola", "Profile", "Spiral"),
     "profile": ("rest_angle",),
     "rod": ("RodBending",),
-    "touch": ("Body", "cylinder", "peg", "wall"),
-    "objects": ("Sweep", "sweep"),
     "modes": ("Modes",),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
-    "Bending", "Body", "Choice", "FlickPast", "Model", "Modes", "Outcome",
-    "Parabola", "Profile", "RodBending", "Spiral", "Sweep", "bend", "choose_model",
-    "closed_form", "cylinder", "elastica", "flick_past", "modes", "peg", "press",
-    "profile", "rest_angle", "rest_shape", "rod", "signal_jacobian", "sweep", "wall",
+    "Bending", "Choice", "FlickPast", "Model", "Modes", "Outcome", "Parabola",
+    "Profile", "RodBending", "Spiral", "bend", "choose_model", "closed_form", "elastica",
+    "flick_past", "modes", "press", "profile", "rest_angle", "rest_shape", "rod",
+    "signal_jacobian",
 ]  # fmt: skip
 
 

@@ -49,12 +49,7 @@ class Outcome(Worded):
         "one-sided: at some bearing that is possible, the contact is out of reach from one end of "
         "the side",
     )
-    AT_LIMIT = (
-        14,
-        "at the limit: an object that the tip met bends the whisker almost as far as it can be "
-        "held, where slips are not known well enough",
-    )
-    NOT_A_READING = 15, "not a reading: a number of it is missing or infinite"
+    NOT_A_READING = 14, "not a reading: a number of it is missing or infinite"
 
 
 class Model(Worded):

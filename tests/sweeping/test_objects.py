@@ -10,8 +10,8 @@ from scipy.optimize import brentq, minimize_scalar
 
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.contact import Outcome
-from weberwhisk.mechanics.objects import cylinder, peg, sweep, wall
 from weberwhisk.mechanics.profile import flick_past, press, rest_angle
+from weberwhisk.sweeping import cylinder, peg, sweep, wall
 from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)

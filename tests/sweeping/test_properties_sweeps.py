@@ -1,8 +1,6 @@
-"""Properties of sweeps over objects, vibrations, muscles and fused cues."""
+"""Properties of sweeps over objects."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,14 +9,14 @@ from hypothesis import strategies as st
 from property_strategies import POWERS, floats, scaled, whiskers
 
 import weberwhisk as ww
-from weberwhisk.cues import BalanceOfMoments, MuscleCurve
-from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
+from weberwhisk import Outcome
+from weberwhisk.sweeping import Body, cylinder, peg, sweep, wall
 
 # Whiskers of every size may be as little curved as a slip of units would be.
 pytestmark = pytest.mark.filterwarnings("ignore:curvature is in 1/m")
 
 #: A sweep takes a tenth of a second: few examples.
-sweeps = settings(max_examples=max(settings.default.max_examples // 5, 3))
+few_examples = settings(max_examples=max(settings.default.max_examples // 5, 3))
 
 
 @st.composite
@@ -48,7 +46,7 @@ def made(name: str, numbers: tuple[float, ...], unit: float) -> Body:
 ROTATIONS = np.concatenate([[-0.5], np.linspace(0.0, 1.0, 5)])
 
 
-@sweeps
+@few_examples
 @given(swept(), st.integers(-6, 0).map(lambda n: 2.0**n), POWERS)
 def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     scene: tuple[ww.Whisker, str, tuple[float, ...]], size: float, stiff: float
@@ -56,7 +54,7 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     w, name, numbers = scene
     body = made(name, numbers, w.length)
     assume(body.depth(0.0, 0.0) < 0)
-    s = ww.mechanics.sweep(w, body, ROTATIONS)
+    s = sweep(w, body, ROTATIONS)
     b, held = s.bending, np.asarray(s.bending.held)
     for value in (b.moment, b.force, b.axial_force, s.contact[:, 0]):
         assert (np.isfinite(value) == held).all()
@@ -70,7 +68,7 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     if np.isfinite(s.end):
         assert s.ended_by not in (Outcome.HELD, Outcome.OUT_OF_REACH)
         assert not held[s.rotation > s.end].any()
-    other = ww.mechanics.sweep(
+    other = sweep(
         scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS
     )
     np.testing.assert_array_equal(other.bending.outcome, b.outcome)
@@ -78,43 +76,3 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
         other.bending.moment[held], b.moment[held] * stiff * size**3,
         rtol=1e-5, atol=1e-8 * stiff * size**3 * w.moment_scale,
     )  # fmt: skip
-
-
-# -- vibrations -----------------------------------------------------------------------------------
-
-
-# -- muscle against whisker -----------------------------------------------------------------------
-
-
-@given(
-    whiskers(),
-    st.lists(floats(0.02, 1.1), min_size=1, max_size=5),
-    floats(0.6, 2.2),
-    st.sampled_from(list(MuscleCurve)),
-    POWERS,
-    POWERS,
-)
-def test_where_muscle_and_whisker_balance(
-    w: ww.Whisker, places: list[float], impact: float, curve: MuscleCurve, size: float, stiff: float
-) -> None:
-    r = np.array(places)[:, None] * w.length
-    cue = BalanceOfMoments(impact, curve=curve, gain=2.0)
-    angle, outcome = cue.signals(w, r)
-    balanced = outcome == ww.Outcome.HELD
-    assert (np.isfinite(angle[:, 0]) == balanced).all()
-    # At the balance both moments are the same, and the whisker is held there.
-    theta = angle[balanced, 0]
-    bent = ww.press(w, r[balanced, 0], theta)
-    assert np.all(bent.held)
-    muscle = curve.moment(impact + theta)
-    np.testing.assert_allclose(2.0 * bent.normalised_moment, muscle, rtol=1e-6, atol=1e-9)
-    other, same = cue.signals(scaled(w, size, stiff), r * size)
-    np.testing.assert_array_equal(same, outcome)
-    np.testing.assert_allclose(other, angle, rtol=1e-11)
-    # A stiffer whisker (a weaker muscle) stops sooner.
-    sooner, held = replace(cue, gain=2.2).signals(w, r[balanced])
-    assert (held == ww.Outcome.HELD).all()
-    assert (sooner[:, 0] <= theta * (1 + 1e-9) + 1e-12).all()
-
-
-# -- fused cues -----------------------------------------------------------------------------------

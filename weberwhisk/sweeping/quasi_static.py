@@ -1,18 +1,13 @@
 """Sweeps against objects: where a whisker touches as its base turns or moves, up to flick-past.
 
-§2g. The objects are a peg, a cylinder of finite radius and a flat wall. Flank and tip may alternate
-along a sweep (see `touch`). A whisker touches at one point: a sweep ends with `TOUCHES_TWICE` where
-it would lie a millionth of its length inside the object at another.
-
-Whisking is quasi-static: the whisker is in balance at every angle, without inertia, which holds
-where the base turns slowly (`analyses/gallery/quasi_static.py` says how slowly).
+§2g. The whisker is in balance at every angle, without inertia, which holds where the base turns
+slowly (`analyses/gallery/quasi_static.py` says how slowly). Flank and tip may alternate along a
+sweep (see `touch`). A whisker touches at one point: a sweep ends with `TOUCHES_TWICE` where it
+would lie a millionth of its length inside the object at another.
 
 The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
 the other way, and the deflection is positive. A base that travels instead moves towards −y.
-
-`slid`, `rate_on_wall` and `Walls` say how a contact slips along a whisker, by the equations of
-``docs/theory/cues.md`` (Sweeping); curvature and friction enter by the contact angle alone.
 """
 
 from __future__ import annotations
@@ -26,13 +21,14 @@ from numpy.typing import ArrayLike
 from .._util.checks import finite, kind, number
 from .._util.refusals import Refusal
 from .._util.values import Array, Fields, Flags, member
+from ..mechanics import Bending, Outcome, Profile
+from ..mechanics.contact import NUMBERS, friction
+from ..mechanics.profile import bend
 from ..whisker import Whisker
-from .contact import NUMBERS, Bending, Outcome, friction
-from .profile import bend
-from .shape import Profile
-from .touch import Body, Touch, TouchedBody, cylinder, peg, wall
+from .objects import Body
+from .touch import Touch, TouchedBody
 
-__all__ = ["Body", "Sweep", "cylinder", "peg", "sweep", "wall"]
+__all__ = ["Sweep", "sweep"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,6 +93,7 @@ def sweep(
 
     Examples
     --------
+    >>> from weberwhisk.sweeping import peg
     >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
     >>> s = sweep(w, peg(35e-3, 0.0), np.radians([-5, 5, 15, 25]))
     >>> s.bending.outcome
@@ -110,7 +107,7 @@ def sweep(
     >>> (s.bending.radial_distance * 1e3).round(2)
     array([  nan, 25.32, 26.25])
     """
-    kind("body", body, "an object", "corners", "write ww.mechanics.peg(20e-3, 0.0)")
+    kind("body", body, "an object", "corners", "write ww.sweeping.peg(20e-3, 0.0)")
     profile = Profile.of(whisker)
     given = travel if rotation is None else rotation
     if given is None or (rotation is not None and travel is not None):
@@ -226,100 +223,3 @@ def _advance(
     if not touch.tip and v[0] > 1 - 10 * smallest:
         return touch, v, sign, now, last, Outcome.SLIPPED_OFF_TIP
     return touch, v, sign, now, last, Outcome.FLICKED_PAST
-
-
-def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
-    """φ (...) of contacts of a `ForwardModel`, from the direction of the force; NaN if lost.
-
-    At no push φ is that of the whisker at rest.
-    """
-    signals, _ = forward.signals(r, np.maximum(theta - forward.rest(r), 1e-9))
-    beta = np.arctan2(signals[..., 1], signals[..., 2]) - forward.friction - theta
-    return np.asarray(theta + np.mod(beta + np.pi / 2, 2 * np.pi) - np.pi / 2)
-
-
-def slid(
-    forward: Any, r: Array, theta: Array, slip: Array, push: Array | float
-) -> tuple[Array, Array]:
-    """r and θ_d (n,) after slips dr (n,) and pushes dρ: sliding, by the trapezoid rule."""
-    start = slope(forward, r, theta)
-    there = r + slip
-    # Where contact is lost there is no slope: the value does not matter.
-    end = slope(forward, there, theta + push + start * slip)
-    mean = np.where(np.isfinite(end), (start + end) / 2, start)
-    return there, theta + push + np.where(slip == 0, 0.0, mean * slip)
-
-
-def slope(forward: Any, r: Array, theta: Array) -> Array:
-    """tan β/r (n,)."""
-    inside = np.clip(r, 1e-6 * forward.length, forward.reach)
-    return np.asarray(np.tan(contact_angle(forward, inside, theta) - theta) / inside)
-
-
-def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
-    """dr/dρ (n,) of contacts with a wall, m/rad; 0 where contact is lost."""
-    r = np.clip(r, 1e-3 * forward.length, forward.reach)
-    # One-sided differences, away from the largest angle and from the tip.
-    step = 1e-5
-    inwards = r * (1 - step)
-    rest, beside = forward.rest(r), forward.rest(inwards)
-    push = np.maximum(theta - rest, 1e-6 + 2 * np.abs(rest - beside))
-    theta, less = rest + push, rest + push * (1 - step)
-    here, there, before = contact_angle(
-        forward, np.stack([r, inwards, r]), np.stack([theta, theta, less])
-    )
-    by_r, by_theta = (here - there) / (r - inwards), (here - before) / (theta - less)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rate = (1 - by_theta) / (by_r + by_theta * np.tan(here - theta) / r)
-    return np.where(np.isfinite(rate), rate, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Walls:
-    """Walls that a whisker meets: with its tip, at r, θ_d and β (n,), or with its flank at rest.
-
-    A wall at the angle β to the line base → tip at first contact touches the tip until the bent
-    whisker has this β, then the flank. `rest` holds distances of walls from the base and the r at
-    which the flank touches them, (m,) each.
-    """
-
-    r: Array
-    theta: Array
-    beta: Array
-    rest: tuple[Array, Array]
-
-    @classmethod
-    def of(cls, forward: Any) -> Walls:
-        """Walls for a `ForwardModel` whose tip is not pushed outwards by more than 0.01 rad."""
-        unknown = len({*forward.friction_range}) > 1 or len({*forward.offset_range}) > 1
-        reach = forward.reach * (1 - 1e-12)
-        if unknown or forward.limit(np.array([reach]))[0] > 0.01:
-            raise Refusal(
-                "A tip that meets an object may go further out than it reaches at rest",
-                f"{forward.whisker!r}{' with friction or curvature unknown' * unknown}",
-                "write prior=scipy.stats.uniform(...) of the distances at which the "
-                "flank is touched, or slip_rate=0 for a peg",
-            )
-        r = np.linspace(1e-3, 1.0, 201) * reach
-        rest = forward.rest(r)
-        depth = r * np.sin(contact_angle(forward, r, rest) - rest)
-        flank = np.maximum.accumulate(depth), r
-        # Contacts of the tip, from rest on to a millionth of the push before it slips off.
-        r = forward.reach * (1 - 1e-15) * (1 - np.linspace(0.0, 1.0, 401)[:-1] ** 2)
-        push = np.nan_to_num(forward.limit(r)) * (1 - 1e-6)
-        tip = forward.signals(r, push * (1 + 2e-6))[1] == Outcome.SLIPPED_OFF_TIP
-        tip[0] = True
-        r, push = r[tip], push[tip]
-        push[0] = 0.0
-        theta = forward.rest(r) + push
-        return cls(r, theta, contact_angle(forward, r, theta) - theta, flank)
-
-    def met(self, angle: Array) -> tuple[Array, Array]:
-        """r (n,) at which walls are met, and the turn up to which the tip touches; −∞: the flank.
-
-        The sine of `angle` is a wall's distance from the base over that of the tip.
-        """
-        flank = angle < self.beta[0]
-        turned = np.interp(angle, self.beta, self.theta - self.theta[0], right=np.inf)
-        place = np.interp(np.sin(angle) * self.r[0], *self.rest)
-        return np.where(flank, place, self.r[0]), np.where(flank, -np.inf, turned)
