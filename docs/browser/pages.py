@@ -23,7 +23,7 @@ from weberwhisk import plots
 from weberwhisk.behaviour import CueEncoding
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.plan_file import preregistration
-from weberwhisk.recordings.files import load_table
+from weberwhisk.recordings.tables import load_table
 
 Fields = dict[str, str]
 Shown = dict[str, Any]
@@ -91,7 +91,7 @@ def mean_whisker(fields: Fields) -> Shown:
 
 def columns(fields: Fields) -> Shown:
     """What a file has, as menus: a guess at which column is which."""
-    raw, _ = load_table(fields["file"])
+    raw = load_table(fields["file"]).frame
     names = [str(name) for name in raw.columns]
     values = {
         name: raw[name].dropna().astype(str).drop_duplicates().tolist()[:200] for name in names
@@ -200,7 +200,7 @@ def _trials(fields: Fields) -> tuple[ww.Trials, CueEncoding | None]:
             named[ours] = fields[field]
     labels = None
     if kind == "choice" and fields["greater"]:
-        said = load_table(fields["file"])[0][fields["answer"]].dropna().drop_duplicates()
+        said = load_table(fields["file"]).frame[fields["answer"]].dropna().drop_duplicates()
         labels = {v: "second" if str(v) == fields["greater"] else "first" for v in said}
     encoding = None
     if fields["scale"] == "whisker":

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .._util import checks
 from .._util.refusals import Refusal
 from .._util.values import Array, Flags
-from ..recordings.files import as_number, load_table
+from ..recordings.tables import as_number, load_table
 from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,
@@ -133,7 +133,8 @@ def read_trials(
         hint = "give natural-log units per unit of the column"
         log_unit = checks.number("log_unit", log_unit, hint)
         checks.positive("log_unit", log_unit, hint)
-    raw, name = load_table(source)
+    loaded = load_table(source, names=NAMES + tuple((columns or {}).values()))
+    raw, name = loaded.frame, loaded.name
     if not len(raw):
         raise Refusal(
             f"{name}: the table has no rows", remedy="give one row per trial under a header"
@@ -188,7 +189,7 @@ def read_trials(
     rows = table.index.to_numpy()
     used = {*frame, *(mapped | lengths).values(), *stimuli, *ANSWERS, "count"}
     further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
-    notes = (*notes_of(frame, rows), *notes_of_pooled(further, {*frame}))
+    notes = (*loaded.notes, *notes_of(frame, rows), *notes_of_pooled(further, {*frame}))
     frame = pd.concat([frame, further], axis=1)
     frame.attrs["columns"] = dict(mapped)  # what the user calls them, for figures
     return Trials(frame, chosen, scale, log_unit, name, notes, rows)

@@ -23,7 +23,7 @@ from .._util.values import Array, counted
 from ..inference.observer import Observer
 from ..recordings import locate
 from ..recordings.columns import FROM_SHAPE, read_contacts
-from ..recordings.files import load_table
+from ..recordings.tables import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (
     Encoding,
@@ -348,7 +348,7 @@ def _refuse_lacking(header: Any, needed: list[str]) -> None:
 def _located(distances: Any, keys: list[str], yes_no: bool, observer: Observer) -> pd.DataFrame:
     """A table of located touches: the one given, or its contacts located, a touch an interval."""
     if isinstance(distances, str | Path):
-        distances = load_table(distances)[0]
+        distances = load_table(distances, "touch").frame
     checks.kind("distances", distances, "a DataFrame or a path", "columns", _HINT)
     if {_TOUCH[0], _ROW[0], _ROW[1]} & set(distances.columns):
         return distances

@@ -303,10 +303,10 @@ def _trials(
 def _with_millimetres(file: Path) -> dict[str, str]:
     """The stimulus columns whose names end in their unit, as `simulate` writes them."""
     from ..behaviour.trials import in_millimetres
-    from ..recordings.files import load_table
+    from ..recordings.tables import load_table
 
     try:
-        return in_millimetres(load_table(file)[0])
+        return in_millimetres(load_table(file).frame)
     except ValueError:  # `read_trials` will raise it again
         return {}
 

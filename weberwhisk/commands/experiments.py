@@ -267,9 +267,9 @@ def analyse(
 def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
     """The trials in the tables of one rig, in mm; rows without a stimulus are left out."""
     from ..behaviour.trials import STIMULI
-    from ..recordings.files import load_table
+    from ..recordings.tables import load_table
 
-    table = pd.concat([_with_choice(load_table(path)[0], path) for path in files])
+    table = pd.concat([_with_choice(load_table(path).frame, path) for path in files])
     named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"

@@ -21,7 +21,8 @@ from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral
 from ..mechanics.contact import Outcome
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .files import as_number, load_table, refuse_tracked
+from .files import refuse_tracked
+from .tables import as_number, load_table
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 #: Spellings of units (patterns), and the symbols that replace them.
@@ -284,7 +285,7 @@ def _table(table: Any) -> pd.DataFrame:
             )
     else:
         refuse_tracked(table)
-        raw, _ = load_table(table, "contact")
+        raw = load_table(table, "contact").frame
         raw = raw.copy()
         for column in raw:  # text files give text in every cell
             number = pd.to_numeric(raw[column], errors="coerce")

@@ -1,9 +1,7 @@
-"""Readers of whisker trackers' files, and of tables of trials and contacts."""
+"""Readers of whisker trackers' files."""
 
 from __future__ import annotations
 
-import errno
-import gzip
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ import pandas as pd
 from .._util import checks
 from .._util.refusals import Refusal
 from .._util.values import Array, counted
+from .tables import load_table
 
 #: Suffixes of files that only trackers write.
 TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".slp")
@@ -168,7 +167,7 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
 
 def points(path: Path) -> pd.DataFrame:
     """One row per point: poses of a DeepLabCut CSV (header row `coords`), or a table of points."""
-    raw, _ = load_table(path, "point")
+    raw = load_table(path, "point").frame
     if raw.shape[1] > 3 and "coords" in raw.iloc[:3, 0].astype(str).tolist():
         return poses(path, "dlc")
     if {"frame", "x", "y"} <= set(raw.columns):
@@ -266,9 +265,6 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
     return pd.DataFrame(rows)
 
 
-# -- tables of trials and of contacts -------------------------------------------------------------
-
-
 def refuse_tracked(source: Any) -> None:
     """Refuse a tracker's file or table of points, from which signals must be computed first."""
     first = (
@@ -286,157 +282,3 @@ def refuse_tracked(source: Any) -> None:
             )
         if {"frame", "x", "y"} <= {*source}:
             raise Refusal(f"The table holds points of tracked whiskers; {first}")
-
-
-def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
-    """The table as it stands, and its name for messages; its index counts rows from 1.
-
-    The suffix decides: Parquet (.parquet), Excel (.xlsx, .xls: first sheet), NWB (.nwb: `trials`),
-    a Bpod session (.mat: the numbers per trial in `SessionData`); anything else is text, plain or
-    compressed, with the separator (comma, tab or semicolon) that is most frequent in its header.
-    Cells of text files stay text, with decimal commas replaced by points. Empty rows are dropped
-    but counted: the index is the row of the file, and the first row below the header is 1. `row`
-    names what one row is, for messages.
-    """
-    if isinstance(source, pd.DataFrame):
-        return _numbered(source), "table"
-    if not isinstance(source, str | Path):
-        raise Refusal(
-            "source must be a path or a DataFrame",
-            checks.shown(source),
-            f"give a table of {row}s, or its file",
-        )
-    path = Path(source)
-    if not path.is_file():
-        sentence = f"there is no such file; give the path of a table of {row}s"
-        raise FileNotFoundError(errno.ENOENT, sentence, str(path))
-    try:
-        raw = _read(path)
-    except ImportError as error:
-        extra = "nwb" if path.suffix == ".nwb" else "tables"
-        raise Refusal(
-            f"{path.name}: reading {path.suffix} needs the package {error.name or 'missing here'}",
-            remedy=f"run pip install 'weberwhisk[{extra}]', or save the table as CSV",
-        ) from None
-    except pd.errors.EmptyDataError:
-        raise Refusal(
-            f"{path.name}: the file is empty", remedy=f"give a header and one row per {row}"
-        ) from None
-    # Libraries of these formats raise any kind of exception for a broken file.
-    except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
-        if not reason.isprintable() or not 0 < len(reason) <= 200:  # some quote the file's bytes
-            reason = type(error).__name__
-        raise Refusal(
-            f"{path.name}: not readable as a table ({reason})", remedy="save it as CSV"
-        ) from None
-    if not isinstance(raw.index, pd.RangeIndex):
-        raise Refusal(
-            f"{path.name}: rows have more cells than the header has names",
-            remedy="name every column",
-        )
-    return _numbered(raw), path.name
-
-
-def as_number(text: object) -> str:
-    """Advice for a cell that is not a number, or has a decimal comma.
-
-    Examples
-    --------
-    >>> as_number("0,5")
-    'write 0.5, or give pandas.read_csv(file, sep=";", decimal=",")'
-    """
-    point = str(text).strip().replace(",", ".", 1)
-    try:
-        float(point)
-    except ValueError:
-        return "write digits alone, with a point for decimals"
-    return f'write {point}, or give pandas.read_csv(file, sep=";", decimal=",")'
-
-
-def _numbered(raw: pd.DataFrame) -> pd.DataFrame:
-    if not raw.columns.is_unique:
-        twice = raw.columns[raw.columns.duplicated()][0]
-        raise Refusal(f"there are two columns {str(twice)!r}", remedy="give each its own name")
-    table = raw.set_axis(pd.RangeIndex(1, len(raw) + 1), axis=0)
-    return table[table.notna().any(axis=1)] if table.shape[1] else table
-
-
-def _read(path: Path) -> pd.DataFrame:
-    if path.suffix == ".parquet":
-        return pd.read_parquet(path).reset_index(drop=True)
-    if path.suffix in (".xlsx", ".xls", ".xlsm", ".ods"):
-        return pd.read_excel(path)
-    if path.suffix == ".nwb":
-        return _nwb_trials(path)
-    if path.suffix == ".mat":
-        return _bpod_trials(path)
-    separator, blank = _layout(path)
-    raw = pd.read_csv(
-        path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False,
-        skiprows=blank, encoding="utf-8-sig",
-    )  # fmt: skip
-    return raw.apply(_with_points, always=separator == ";")
-
-
-def _with_points(cells: pd.Series, always: bool) -> pd.Series:
-    """The column with decimal commas replaced by points, unless it has decimal points.
-
-    In a file separated by semicolons (`always`) every comma is decimal. Otherwise a column in
-    which three digits follow every comma may hold thousands, and is left as it is.
-    """
-    text = cells.dropna().astype(str).str.strip()
-    if not text.str.contains(",", regex=False).any():
-        return cells
-    comma = text[text.str.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?")]
-    thousands = comma.str.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}").all() and not always
-    if text.str.fullmatch(r"[+-]?\d*\.\d+([eE][+-]?\d+)?").any() or thousands:
-        return cells
-    return cells.where(~cells.index.isin(comma.index), comma.str.replace(",", "."))
-
-
-def _layout(path: Path) -> tuple[str, int]:
-    """The separator of a text table, and the blank lines above its header."""
-    if path.suffix in (".bz2", ".xz", ".zip", ".zst"):  # only pandas opens these
-        return ("\t" if {".tsv", ".tab"} & set(path.suffixes) else ","), 0
-    opened: Any = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig") as lines:
-        for blank, line in enumerate(lines):
-            if line.strip():
-                return max(",\t;", key=line.count), blank
-    raise pd.errors.EmptyDataError
-
-
-def _nwb_trials(path: Path) -> pd.DataFrame:
-    """The `trials` of a Neurodata Without Borders file: columns with one value per trial."""
-    import warnings
-
-    from pynwb import NWBHDF5IO
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # remarks on how the file was written
-        with NWBHDF5IO(str(path), "r", load_namespaces=True) as file:
-            trials = file.read().trials
-            if trials is None:
-                raise Refusal("the NWB file has no trials")
-            table = trials.to_dataframe().reset_index(drop=True)
-    return table.drop(columns=[c for c in table if table[c].map(pd.api.types.is_list_like).any()])
-
-
-def _bpod_trials(path: Path) -> pd.DataFrame:
-    """Fields of Bpod's `SessionData` with one number per trial, for the trials that ran."""
-    from scipy.io import loadmat
-
-    found = loadmat(path, simplify_cells=True)
-    if "SessionData" not in found or "nTrials" not in found["SessionData"]:
-        raise Refusal("it has no SessionData of Bpod")
-    count = int(found["SessionData"].pop("nTrials"))
-    fields = {name: np.atleast_1d(v) for name, v in found["SessionData"].items()}
-    table = {
-        name: v[:count]  # lists made before the session may be longer than it was
-        for name, v in fields.items()
-        if v.ndim == 1 and v.size >= count and v.dtype.kind in "fiub"
-    }
-    # MATLAB's numbers are floats, subject 1 too.
-    whole = {name for name, v in table.items() if np.all(v == np.floor(v))}
-    return pd.DataFrame({n: v.astype(int) if n in whole else v for n, v in table.items()})
