@@ -24,6 +24,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "_util.output": (),
     "_util.campaign": ("_util.output",),
     "_util.sampling": (),
+    "_util.weights": (),
     "domain": (),
     "whisker": ("domain",),
     "mechanics.contact": ("whisker",),
@@ -110,7 +111,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_util.checks", "_util.refusals", "_util.values"}
+    own = {place, "_util.checks", "_util.refusals", "_util.values", "_util.weights"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 

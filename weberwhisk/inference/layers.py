@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
+from .._util.weights import half_error, halves, mixture_moments, resampled
 from .coordinates import within_half_turn
 from .nodes import HALVINGS, Layers
 from .tree import DROP
@@ -29,7 +30,6 @@ from .weighted import (
     interpolate,
     masses,
     mixed,
-    resampled,
     spans_between,
 )
 
@@ -233,33 +233,19 @@ class LayeredSums:
             values.append(value)
             middle.append(value[best, np.arange(len(rows))])
 
-        def moments(weight: Array) -> tuple[Array, Array, Array]:
-            total = np.maximum(weight.sum(axis=0), 1e-300)
-            means, variances = [], []
-            for i in range(inner):
-                m = (weight * mean[..., i]).sum(axis=0) / total
-                means.append(m)
-                square = sd[..., i] ** 2 + (mean[..., i] - m) ** 2
-                variances.append((weight * square).sum(axis=0) / total)
-            for value in values:
-                m = (weight * value).sum(axis=0) / total
-                means.append(m)
-                variances.append((weight * (value - m) ** 2).sum(axis=0) / total)
-            return total, np.stack(means, axis=-1), np.sqrt(np.stack(variances, axis=-1))
-
-        total, self.mean[rows], self.sd[rows] = moments(weight)
-        own_sd = np.maximum(self.sd[rows], 1e-300)
+        # Of the unknowns at a node the conditional posteriors, of the others the values.
+        means = np.concatenate([mean, np.stack(values, axis=-1)], axis=-1)
+        sds = np.concatenate([sd, np.zeros((*log.shape, len(values)))], axis=-1)
+        whole = mixture_moments(weight[..., None], means, sds)
+        self.mean[rows], self.sd[rows], total = whole.mean, whole.sd, whole.total[..., 0]
+        least_sd = np.maximum(whole.sd, 1e-300)
         each = np.zeros((len(keys), len(rows)))
         count = [(own - k[0]) // (k[1] - k[0]) for own, k in zip(grid, keys, strict=True)]
-        # Ridges along a diagonal are even along each axis, and not by the sum of both numbers.
-        for among in product((0, 1), repeat=len(keys)):
-            odd = (among @ np.stack(count) % 2).astype(bool)
-            for half in (odd, ~odd) if any(among) else ():
-                t, m, s = moments(weight * half[:, None])
-                off = np.maximum(np.abs(m - self.mean[rows]), np.abs(s - own_sd)) / own_sd
-                off = np.maximum(np.abs(2 * t / total - 1), off.max(axis=1))
-                some = np.flatnonzero(among)
-                each[some] = np.maximum(each[some], off)
+        for axes, half in halves(np.stack(count)):
+            part = mixture_moments((weight * half[:, None])[..., None], means, sds)
+            share = part.total / whole.total
+            off = half_error(share, part.mean - whole.mean, part.sd, least_sd)
+            each[axes] = np.maximum(each[axes], off.max(axis=1))
         each = np.minimum(each, 1e100)
         # On a circle sums over every other node are off by the root of this, as in `Sums.add`.
         each[[axis.around for axis in self.axes]] **= 2

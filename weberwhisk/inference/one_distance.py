@@ -18,6 +18,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import gamma, gammainc, logsumexp, ndtr
 
 from .._util.values import Array, Index, density_quantiles
+from .._util.weights import half_error, halves, mixture_moments
 from .coordinates import constrain_distance, leaps
 from .layers import SCORES, LayeredSums
 from .methods import pieces_of
@@ -362,22 +363,17 @@ def _summed(
     share = np.exp(log - log.max())
     share /= share.sum()
     mean, sd = (np.nan_to_num([getattr(one, n) for one in own]) for n in ("mean", "sd"))
-    value = axis.value(nodes)
-
-    def moments(share: Array) -> tuple[float, float, float, float]:
-        share = share / max(share.sum(), 1e-300)
-        m, v = share @ mean, share @ value
-        return (float(m), float(np.sqrt(share @ (sd**2 + (mean - m) ** 2))), float(v),
-                float(np.sqrt(share @ (value - v) ** 2)))  # fmt: skip
-
-    found = moments(share)
+    values = np.stack([mean, axis.value(nodes)], axis=1)
+    sds = np.stack([sd, np.zeros(len(sd))], axis=1)
+    whole = mixture_moments(share[:, None], values, sds)
     error = 0.0
-    odd = np.arange(len(nodes)) % 2 == 1
-    for half in (share * odd, share * ~odd):
-        m, s, v, u = np.abs(np.subtract(moments(half), found))
-        off = max(m, s) / found[1], max(v, u) / max(found[3], 1e-300)
-        error = max(error, abs(2 * half.sum() - 1), *off)
-    return found, share, float(min(error, 1e100) ** 2)
+    for _, half in halves(np.arange(len(nodes))[None]):
+        part = mixture_moments((share * half)[:, None], values, sds)
+        least_sd = np.maximum(whole.sd, [0.0, 1e-300])
+        off = half_error(part.total, part.mean - whole.mean, part.sd, least_sd)
+        error = max(error, float(off.max()))
+    moments = (*np.stack([whole.mean, whole.sd], axis=1).ravel().tolist(),)
+    return moments, share, float(min(error, 1e100) ** 2)
 
 
 def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:

@@ -17,10 +17,11 @@ from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
 from .._util.values import Array, Flags, Index
+from .._util.weights import half_error, resampled
 
 __all__ = [
     "OVER", "Leaves", "Spans", "Sums", "between_nodes", "density_of_distance", "extrapolated",
-    "in_one", "interpolate", "masses", "mixed", "resampled", "spans_between", "systematic",
+    "in_one", "interpolate", "masses", "mixed", "spans_between",
 ]  # fmt: skip
 
 #: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
@@ -76,18 +77,6 @@ class Spans(NamedTuple):
         return np.stack([np.interp(p, up, at) for up, at in zip(rise, ends, strict=True)])
 
 
-def resampled(log_weight: Array, count: int, rng: np.random.Generator) -> Index:
-    """Which (count,) of proposals to keep, by importance, given ln of their weights (n,)."""
-    return rng.permutation(systematic(np.exp(log_weight - log_weight.max()), count, rng))
-
-
-def systematic(weight: Array, count: int, rng: np.random.Generator) -> Index:
-    """Systematic resampling: each of `weight` (n,) as often as it says, to within one, (count,)."""
-    rise = np.cumsum(weight) / weight.sum()
-    places = (np.arange(count) + rng.random()) / count
-    return np.minimum(np.searchsorted(rise, places), len(rise) - 1)
-
-
 class Sums:
     """Posteriors of `count` readings as weighted cells and their sums, NaN until there are any.
 
@@ -128,8 +117,6 @@ class Sums:
         signs = 1.0 - 2.0 * (place & 1)
         each = np.zeros((unknowns, len(at)))
         halves = [np.add.reduceat(weight * s, first) for s in signs]
-        for d in range(unknowns):
-            each[d] = np.abs(halves[d]) / total
         for i in range(unknowns):
             origin = contact[i][first]
             value = contact[i] - origin[owner]
@@ -145,12 +132,14 @@ class Sums:
                 one = np.add.reduceat(weighted * signs[d], first)
                 two = np.add.reduceat(squared * signs[d], first)
                 for sign in (1, -1):
-                    part = np.maximum(total + sign * halves[d], 1e-300)
+                    part = total + sign * halves[d]
+                    share = part / (2 * total)
+                    part = np.maximum(part, 1e-300)
                     m = sign * one / part
                     with np.errstate(over="ignore", invalid="ignore"):
                         v = (variance * total + sign * two) / part - m * m
-                    off = np.maximum(np.abs(m), np.abs(np.sqrt(np.maximum(v, 0)) - sd)) / sd
-                    off = np.where(total + sign * halves[d] > 0, off, 1.0)  # a half has nothing
+                    off = half_error(share, m, np.sqrt(np.maximum(v, 0)), sd)
+                    off = np.where(share > 0, off, 1.0)  # a half has nothing
                     each[d] = np.maximum(each[d], off)
         each = np.minimum(each, 1e100)
         worst = np.max(each, axis=0)

@@ -18,6 +18,7 @@ from scipy.special import logsumexp, ndtr
 
 from .. import domain
 from .._util.values import Array, Index
+from .._util.weights import mixture_moments
 from ..cues import Cue, UnknownStiffness
 from ..cues.protocol import is_curved
 from ..inference import Observer, default_noise
@@ -441,7 +442,7 @@ def _mixed(cases: Cases, log: Array, table: Array, count: int) -> Mixed:
         ends[row] = spans.quantiles(ENDS)[0]
         values = own[:, count:]
         numbers[row] = weight @ values
-        for at in range(0, 4 if values.shape[1] > 2 else 2, 2):
-            square = values[:, at + 1] ** 2 + (values[:, at] - numbers[row, at]) ** 2
-            numbers[row, at + 1] = np.sqrt(weight @ square)
+        moments = slice(0, 4 if values.shape[1] > 2 else 2)
+        means, sds = values[:, moments][:, ::2], values[:, moments][:, 1::2]
+        numbers[row, moments][1::2] = mixture_moments(weight[:, None], means, sds).sd
     return Mixed(ends, numbers)
