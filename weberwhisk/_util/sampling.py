@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MOVES", "RHAT", "ArvizData", "BlockDifferentialEvolution", "BlockMove", "BlockStretch",
-    "Shortfall", "StackedSample", "mcse", "pointwise_loo", "rhat", "sample_stacked", "to_arviz",
+    "Shortfall", "StackedSample", "integers", "mcse", "pointwise_loo", "rhat", "sample_stacked",
+    "to_arviz",
 ]  # fmt: skip
 
 #: R-hat below which independent ensembles agree (Vehtari et al. 2021, Bayesian Analysis 16, 667).
@@ -300,6 +301,7 @@ def to_arviz(
     posterior: Variables,
     *,
     log_likelihood: Variables | None = None,
+    log_prior: Variables | None = None,
     observed_data: Variables | None = None,
     constant_data: Variables | None = None,
     prior: Variables | None = None,
@@ -307,13 +309,18 @@ def to_arviz(
     coords: Mapping[str, ArrayLike] | None = None,
     dims: Mapping[str, Sequence[str]] | None = None,
     attrs: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+    comments: Mapping[str, str] | None = None,
 ) -> ArvizData:
     """Draws as ArviZ data: InferenceData on arviz 0.23, xarray's DataTree on 1.x.
 
     Sampled groups are arrays (chain, draw, ...) by name, a chain independent of the others: a whole
     ensemble of emcee, not one of its walkers. `coords` and `dims` label further dimensions, as
-    ArviZ has them; `attrs` are remarks stored with the posterior. Both kinds offer
-    ``data["posterior"]`` and ``data.to_netcdf(path)``.
+    ArviZ has them; `attrs` are remarks stored with the posterior, `comments` with other groups, and
+    `units` with variables and coordinates, by their names. Both kinds offer ``data["posterior"]``
+    and ``data.to_netcdf(path)``.
+
+    Counts must be integers: `arviz.loo_pit` and plots take floats for a continuous quantity.
 
     Examples
     --------
@@ -325,6 +332,7 @@ def to_arviz(
     sampled = {
         "posterior": posterior,
         "log_likelihood": log_likelihood,
+        "log_prior": log_prior,
         "prior": prior,
         "posterior_predictive": posterior_predictive,
     }
@@ -337,12 +345,25 @@ def to_arviz(
     labels = {name: np.asarray(value) for name, value in (coords or {}).items()}
     arviz = _arviz()
     if "InferenceData" in vars(arviz):  # asking 1.x for the attribute warns
+        later = {"log_prior": groups.pop("log_prior")} if log_prior is not None else {}
         data = arviz.from_dict(**groups, coords=labels, dims=named)
-        data.posterior.attrs.update(attrs or {})
+        if later:  # which from_dict of 0.23 does not take
+            data.add_groups(later, coords=labels, dims=named)
+        groups |= later
     else:
         data = arviz.from_dict(groups, coords=labels, dims=named)
-        data["posterior"].attrs.update(attrs or {})
+    data["posterior"].attrs.update(attrs or {})
+    for name, said in (comments or {}).items():
+        data[name].attrs["comment"] = said
+    for name in groups.keys() - {"log_likelihood", "log_prior"}:  # which are in nats
+        for key in (units or {}).keys() & {*data[name].data_vars, *data[name].coords}:
+            data[name][key].attrs["units"] = (units or {})[key]
     return data
+
+
+def integers(counts: ArrayLike) -> NDArray[np.int64]:
+    """Counts, kept as floats for arithmetic, as the whole numbers that they are."""
+    return np.rint(np.asarray(counts, dtype=float)).astype(np.int64)
 
 
 def _arviz() -> Any:

@@ -15,6 +15,7 @@ from .._util.refusals import Refusal
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
 from . import criticism, report
+from .arviz_data import observer_data
 from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates, tails
@@ -104,8 +105,21 @@ class WeberFit(Estimates):
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     def to_arviz(self) -> ArvizData:
-        """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
-        return report.to_arviz(self)
+        """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data.
+
+        A `cell` is a pair of stimuli: `answers` counts the trials among its `n` that were answered
+        so, and its log-likelihood is of all of them. So `arviz.loo` leaves out a pair at a time,
+        and `weberwhisk.compare` a trial. `log_prior` serves `arviz.psense` (`psens` of 0.23):
+        whether prior or data moves an estimate.
+
+        Examples
+        --------
+        >>> from weberwhisk import fit_weber, simulate_trials
+        >>> data = fit_weber(simulate_trials(weber_fraction=0.1, seed=1)).to_arviz()
+        >>> list(data["log_prior"].data_vars), data["observed_data"]["answers"].dtype.kind
+        (['weber_fraction', 'lapses', 'bias'], 'i')
+        """
+        return observer_data(self)
 
 
 class StateFit(WeberFit):

@@ -214,13 +214,57 @@ class PopulationFit(Shown):
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     def to_arviz(self, draws: int = 1000) -> ArvizData:
-        """Independent draws of the population's parameters, in four chains, for ArviZ."""
+        """ArviZ data (0.23 or 1.x) of independent draws, in four chains of `draws`.
+
+        Besides the population's parameters there is `subject_weber_fraction`, of each animal that
+        is in it, drawn with them. The log-likelihood is that of all choices of an animal given the
+        population: `arviz.loo` leaves out an animal at a time.
+
+        Raises
+        ------
+        ValueError
+            Where no animal has trials that can be used, and for less than one draw.
+
+        Examples
+        --------
+        >>> from weberwhisk.behaviour import simulate_population
+        >>> fit = fit_population(simulate_population(3, trials_per_level=10, seed=1)[0])
+        >>> fit.to_arviz(draws=10)["posterior"]["subject_weber_fraction"].shape
+        (4, 10, 3)
+        """
+        checks.whole("draws", draws, "write 1000, say")
         if self.population is None:
             raise Refusal(f"there is no population to draw from: {self.status.value}.")
-        sample = self.population.draws(4 * draws, self.seed)
+        rng = np.random.default_rng(self.seed)
+        sample = self.population.draws(4 * draws, rng)
+        log_mean, spread = np.log(sample["weber_fraction"]), sample["spread"]
+        likelihood, log_k = self.population.given(log_mean, spread, rng)
+        beliefs = {"weber_fraction": self.believed.weber_fraction, "spread": self.spread_prior}
+        kept = self.subjects[self.subjects["weber_fraction"].notna()]
+        groups: dict[str, dict[str, Array]] = {
+            "posterior": sample | {"subject_weber_fraction": np.exp(log_k).T},
+            "log_likelihood": {"choices": likelihood.T},
+            "prior": {n: p.rvs(4 * draws, random_state=rng) for n, p in beliefs.items()},
+            "log_prior": {n: p.logpdf(sample[n]) for n, p in beliefs.items()},
+        }
+        chains = {
+            group: {n: values.reshape(4, draws, *values.shape[1:]) for n, values in named.items()}
+            for group, named in groups.items()
+        }
+        names = ("subject_weber_fraction", "choices", "n")
+        unit = next(iter(self.fits.values())).unit or "1"
         return to_arviz(
-            {name: values.reshape(4, draws) for name, values in sample.items()},
+            chains.pop("posterior"),
+            **chains,
+            constant_data={"n": kept["n"].to_numpy(np.int64)},
+            coords={"subject": kept["subject"].astype(str).to_numpy(str)},
+            dims={name: ["subject"] for name in names},
             attrs={"status": self.status.value},
+            units={"weber_fraction": unit, "subject_weber_fraction": unit, "spread": "1", "n": "1"},
+            comments={
+                "log_likelihood": "A value is of all choices of an animal given the population, "
+                "its own parameters integrated out: LOO of it leaves out an animal."
+            },
         )
 
 
@@ -384,6 +428,12 @@ def normal_weights(x: Array, mean: Array, sd: Array) -> Array:
     return np.asarray(out)
 
 
+def narrowest(sd: Array, step: float) -> Array:
+    """Sds of normals on nodes that far apart: one narrower than the nodes is as wide as they are, a
+    fifth of what any animal says."""
+    return np.maximum(sd, 0.8 * step)
+
+
 def trapezoid_shares(count: int) -> Array:
     """Weights of even nodes in the trapezoid rule, in steps (count,)."""
     return np.r_[0.5, np.ones(count - 2), 0.5]
@@ -401,7 +451,8 @@ class Population:
 
     `mass` (M, T) is the probability of each node: `mean` (M, T) of ln k, and its sd, the `spread`
     (T,). `animals` (A, X) are the probabilities of ln k of each animal on the nodes `log_k`, given
-    all the data. Between nodes the density is linear.
+    all the data, and `log_likelihood` (A, X) what its own choices say. Between nodes the density is
+    linear.
     """
 
     mean: Array
@@ -409,6 +460,7 @@ class Population:
     mass: Array
     log_k: Array
     animals: Array
+    log_likelihood: Array
     log_evidence: float
     error: float
 
@@ -418,9 +470,8 @@ class Population:
             return self.spread, self.mass.sum(axis=0)
         return np.exp(self.mean).ravel(), self.mass.ravel()
 
-    def draws(self, count: int, seed: int) -> dict[str, Array]:
+    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Joint draws of both parameters, each (count,): nodes, moved within their cells."""
-        rng = np.random.default_rng(seed)
         at = rng.choice(self.mass.size, count, p=self.mass.ravel())
         places = []
         for i, n in zip(np.unravel_index(at, self.mass.shape), self.mass.shape, strict=True):
@@ -430,6 +481,22 @@ class Population:
         spread = self.spread[t] + dt * (self.spread[t + 1] - self.spread[t])
         low, high = (self.mean[m, t + j] * (1 - dm) + self.mean[m + 1, t + j] * dm for j in (0, 1))
         return {"weber_fraction": np.exp(low + dt * (high - low)), "spread": spread}
+
+    def given(
+        self, log_mean: Array, spread: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Of each animal in populations (N,): log-likelihood of its choices, and a draw of its ln
+        k, (A, N)."""
+        step = self.log_k[1] - self.log_k[0]
+        kernel = normal_weights(self.log_k, log_mean, narrowest(spread, step))  # (X, N)
+        shared = np.exp(self.log_likelihood - self.log_likelihood.max(axis=1, keepdims=True))
+        drawn = np.empty((len(shared), log_mean.size))
+        for row, likelihood in zip(drawn, shared, strict=True):
+            below = np.cumsum(likelihood[:, None] * kernel, axis=0)
+            node = (below < rng.random(log_mean.size) * below[-1]).sum(axis=0)
+            moved = rng.random(log_mean.size) - rng.random(log_mean.size)
+            row[:] = self.log_k[node] + step * moved
+        return log_product(self.log_likelihood, kernel), drawn
 
 
 def integrate_population(
@@ -459,8 +526,7 @@ def integrate_population(
         weight = 1 / (sd[:, None] ** 2 + tau**2)  # (A, T)
         width = 1 / np.sqrt(weight.sum(axis=0))
         mu = width**2 * (weight * mean[:, None]).sum(axis=0) + width * place[:, None]
-        # A normal narrower than the nodes is as wide as they are: a fifth of what any animal says.
-        kernel = normal_weights(x, mu, np.maximum(tau, 0.8 * step)).reshape(x.size, -1)
+        kernel = normal_weights(x, mu, narrowest(tau, step)).reshape(x.size, -1)
         by_animal = log_product(log_like, kernel)  # (A, M·T)
         with np.errstate(divide="ignore"):
             log_mass = by_animal.sum(axis=0).reshape(mu.shape) + log_prior(mu) + spread.logpdf(tau)
@@ -486,7 +552,7 @@ def integrate_population(
     found = log_like + np.log(np.maximum(of_others, 1e-300))
     found = np.exp(found - found.max(axis=1, keepdims=True))
     found /= found.sum(axis=1, keepdims=True)
-    return Population(mu, tau, mass, x, found, top + float(np.log(total * cell)), error)
+    return Population(mu, tau, mass, x, found, log_like, top + float(np.log(total * cell)), error)
 
 
 def _moments(log_k: Array, log_like: Array) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""A fit reported: in plain words, as a methods section says it, for JSON, and for ArviZ."""
+"""A fit reported: in plain words, as a methods section says it, and for JSON."""
 
 from __future__ import annotations
 
@@ -8,22 +8,18 @@ from typing import Any
 import numpy as np
 
 from .._util.output import plain
-from .._util.sampling import ArvizData
-from .._util.sampling import to_arviz as convert
-from .._util.values import Array, counted, methods_text, paragraphs
+from .._util.values import counted, methods_text, paragraphs
 from ..receptors import Weber
 from .criticism import advice as next_fit
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates
-from .likelihood import Draws
-from .posteriors import prior_draws
 from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
 __all__ = [
     "as_dict", "encoding_in_words", "engine_in_words", "methods", "priors_in_words", "report",
-    "sentence", "to_arviz",
+    "sentence",
 ]  # fmt: skip
 
 
@@ -171,55 +167,6 @@ def sentence(message: str) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.4g}" if np.isfinite(value) else "out of reach"
-
-
-def to_arviz(fit: Estimates, seed: int = 1) -> ArvizData:
-    """Posterior, prior, posterior-predictive, log-likelihood and observed data, for ArviZ.
-
-    A cell is a pair of stimuli: `n` trials of which `count` had the answer. Its log-likelihood is
-    that of the sequence of answers, binomial coefficient left out. `seed` is that of the draws from
-    the prior and of the replicated counts.
-    """
-    model, chains, cells = fit.model, fit.posterior.chains, fit.model.cells
-    draws = fit.posterior.draws()
-    rng = np.random.default_rng(seed)
-
-    def chained(values: Array) -> Array:
-        size = len(values) // chains
-        return values[: size * chains].reshape(chains, size, *values.shape[1:])
-
-    many = fit.bias == "per standard"
-
-    def named(of: Draws) -> dict[str, Array]:
-        columns = {
-            name: chained(values)
-            for name, values in of.named(model).items()
-            if name not in model.group_names
-        }
-        if model.free_bias:
-            columns["bias"] = chained(of.bias if many else of.bias[:, 0])
-        return columns
-
-    by_cell = model.log_said(draws)
-    dims = {name: ["cell"] for name in ("answers", "n", "stimulus_1", "stimulus_2")}
-    coords: dict[str, Any] = {"cell": np.arange(cells.n.size)}
-    if model.free_bias and many:
-        dims["bias"], coords["standard"] = ["standard"], fit.standards
-    return convert(
-        named(draws),
-        prior=named(prior_draws(model, len(draws), rng)),
-        posterior_predictive={"answers": chained(model.simulate(draws, rng))},
-        log_likelihood={"answers": chained(by_cell)},
-        observed_data={"answers": cells.count},
-        constant_data={
-            "n": cells.n,
-            "stimulus_1": cells.stimulus_1,
-            "stimulus_2": cells.stimulus_2,
-        },
-        coords=coords,
-        dims=dims,
-        attrs={"status": fit.status.message, "method": fit.method, "source": fit.trials.source},
-    )
 
 
 def as_dict(fit: Estimates) -> dict[str, object]:

@@ -150,9 +150,7 @@ def _first_pushed(forward: ForwardModel, push: float, r: Array) -> Array:
     return forward.rest(r) + push
 
 
-def _pushed_on(
-    forward: ForwardModel, before: float, theta: float, push: float, r: Array
-) -> Array:
+def _pushed_on(forward: ForwardModel, before: float, theta: float, push: float, r: Array) -> Array:
     """θ_d (n,) where a push makes the contact slide from (before, θ_d) to the distances r.
 
     By the trapezoid rule.

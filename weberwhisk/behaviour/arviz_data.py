@@ -1,0 +1,155 @@
+"""The fit of one observer as ArviZ data: draws, priors, likelihood, counts, and their units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from .._util.sampling import ArvizData, integers, to_arviz
+from .._util.values import Array
+from .cue_encoding import CueEncoding, PooledEncoding
+from .estimates import Estimates
+from .likelihood import Draws, WeberModel
+from .posteriors import prior_draws
+from .priors import REACH, TINY, Priors
+from .tasks import SameDifferent, SignedChoice, Task, YesNo
+from .trials import STIMULI
+
+__all__ = ["log_prior_density", "observer_data"]
+
+_BIAS_UNITS: dict[type[Task], str] = {
+    SignedChoice: "sd of the difference between the signals",
+    YesNo: "sd of the signal of the standard",
+    SameDifferent: "sd of the difference between two signals of stimulus 1",
+}
+
+
+def observer_data(fit: Estimates, seed: int = 1) -> ArvizData:
+    """Posterior, prior, posterior-predictive, log-likelihood, log-prior and observed data.
+
+    A cell is a pair of stimuli: `n` trials of which `answers` had the answer. Its log-likelihood is
+    that of the sequence of answers, binomial coefficient left out. `seed` is that of the draws from
+    the prior and of the replicated counts.
+    """
+    model, chains, cells = fit.model, fit.posterior.chains, fit.model.cells
+    draws = fit.posterior.draws()
+    rng = np.random.default_rng(seed)
+    by_standard = fit.bias == "per standard" and model.free_bias
+
+    def chained(values: NDArray[Any]) -> NDArray[Any]:
+        size = len(values) // chains
+        return values[: size * chains].reshape(chains, size, *values.shape[1:])
+
+    def parameters(of: Draws) -> dict[str, Array]:
+        columns = {
+            name: chained(values)
+            for name, values in of.named(model).items()
+            if name not in model.group_names
+        }
+        if model.free_bias:
+            columns["bias"] = chained(of.bias if by_standard else of.bias[:, 0])
+        return columns
+
+    dims = {name: ["cell"] for name in ("answers", "n", *STIMULI[1:])}
+    coords: dict[str, Any] = {"cell": np.arange(cells.n.size)}
+    if by_standard:
+        dims["bias"], coords["standard"] = ["standard"], fit.standards
+    prior_densities = log_prior_density(model, draws)
+    if not by_standard and "bias" in prior_densities:
+        prior_densities["bias"] = prior_densities["bias"][:, 0]
+    answers = integers(model.simulate(draws, rng))
+    return to_arviz(
+        parameters(draws),
+        prior=parameters(prior_draws(model, len(draws), rng)),
+        posterior_predictive={"answers": chained(answers)},
+        log_likelihood={"answers": chained(model.log_said(draws))},
+        log_prior={name: chained(values) for name, values in prior_densities.items()} or None,
+        observed_data={"answers": integers(cells.count)},
+        constant_data={
+            "n": integers(cells.n),
+            "stimulus_1": cells.stimulus_1,
+            "stimulus_2": cells.stimulus_2,
+        },
+        coords=coords,
+        dims=dims,
+        attrs={"status": fit.status.message, "method": fit.method, "source": fit.trials.source},
+        units=_units(fit),
+        comments={"log_likelihood": _of_likelihood(fit)},
+    )
+
+
+def log_prior_density(model: WeberModel, draws: Draws) -> dict[str, Array]:
+    """Log prior density of the inferred parameters at draws, (N,) each; of the biases (N, G).
+
+    Two lapses that are correlated beforehand have one, "lapses", which is joint. That they sum to
+    less than 1 changes it by a constant, and is left out.
+    """
+    named, priors = draws.named(model), model.priors
+    both = ("lapse_low", "lapse_high")
+    joint = all(name in named for name in both) and priors.lapse_correlation != 0
+    out: dict[str, Array] = {}
+    for name, values in named.items():
+        if name in model.group_names:
+            continue
+        if not (joint and name in both):
+            out[name] = priors.log_density(name, np.maximum(values, _least(priors, name)))
+        elif name == both[0]:
+            out["lapses"] = _joint_lapses(priors, *(named[n] for n in both))
+    if model.free_bias:
+        out["bias"] = model.log_bias_prior(draws.bias)
+    return out
+
+
+def _least(priors: Priors, name: str) -> float:
+    """Below which a density that is infinite at 0 is taken as there."""
+    return TINY if priors.support(name)[0] == 0 else -np.inf
+
+
+def _joint_lapses(priors: Priors, low: Array, high: Array) -> Array:
+    """Log density of two lapses whose normal scores are correlated."""
+    rho = priors.lapse_correlation
+    total, scores = np.zeros(low.shape), []
+    for name, lapse in (("lapse_low", low), ("lapse_high", high)):
+        prior, value = priors.of(name), np.maximum(lapse, TINY)
+        below, above = ndtri(prior.cdf(value)), -ndtri(prior.sf(value))
+        scores.append(np.clip(np.where(below < 0, below, above), -REACH, REACH))
+        total = total + prior.logpdf(value)
+    a, b = scores
+    left = 1 - rho**2
+    copula = (2 * rho * a * b - rho**2 * (a**2 + b**2)) / (2 * left) - 0.5 * np.log(left)
+    return np.asarray(total + copula)
+
+
+def _units(fit: Estimates) -> dict[str, str]:
+    """Units by the name of a variable; "1" for a ratio, a probability or a count."""
+    model = fit.model
+    names = [n for n in fit.parameters if n not in model.group_names]
+    found = dict.fromkeys(["answers", "n", *names], "1")
+    found["bias"] = _BIAS_UNITS.get(type(model.task), "sd of the decision variable")
+    if fit.unit:
+        found["weber_fraction"] = fit.unit
+    if "floor" in found:
+        found["floor"] = "unit of the signal"
+    columns = fit.trials.frame.attrs.get("columns", {})
+    unit = None
+    if isinstance(fit.encoding, CueEncoding | PooledEncoding):  # distances
+        unit = {1e-3: "mm", 1.0: "m"}.get(fit.encoding.unit, f"{fit.encoding.unit:g} m")
+    for name in STIMULI:
+        found[name] = unit or f"unit of the column {columns.get(name, name)}"
+    return found
+
+
+def _of_likelihood(fit: Estimates) -> str:
+    """What one value of the log-likelihood is of, and so what leaving it out means."""
+    if fit.model.n_states > 1:
+        return (
+            "A value is of all answers to a pair of stimuli, each given the answers before it: "
+            "none can be left out alone, and LOO of it means nothing."
+        )
+    return (
+        "A value is of all answers to a pair of stimuli (a cell): LOO of it leaves out a pair, "
+        "where weberwhisk.compare leaves out a trial. Binomial coefficients are left out."
+    )
