@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+import shape
 
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
@@ -69,7 +68,7 @@ HEAVY = ("arviz", "emcee", "matplotlib", "pandas", "rich", "scipy.stats", "typer
 
 def offences(package: Path) -> list[str]:
     """Everything under `package` that breaks a rule, a sentence each."""
-    modules = {_dotted(path, package): path for path in sorted(package.rglob("*.py"))}
+    modules = shape.modules(package)
     found, graph = [], {}
     for module, path in modules.items():
         where = path.relative_to(package).as_posix()
@@ -78,7 +77,7 @@ def offences(package: Path) -> list[str]:
             found.append(f"{where} is not in the table: give it a line there.")
             continue
         allowed = _allowed(place)
-        imported = list(_imports(path, package, modules))
+        imported = list(shape.imports(path, package, modules))
         # A name imported for annotations alone runs in no circle; behaviour and design have none.
         whole = module.startswith(("behaviour", "design"))
         graph[module] = {m for m, runs in imported if (runs or whole) and m in modules}
@@ -96,11 +95,6 @@ def offences(package: Path) -> list[str]:
     return found
 
 
-def _dotted(path: Path, package: Path) -> str:
-    parts = path.relative_to(package).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
 def _place(module: str) -> str | None:
     """The entry of the table that a module falls under."""
     if module in TABLE:
@@ -113,53 +107,6 @@ def _place(module: str) -> str | None:
 def _allowed(place: str) -> set[str]:
     own = {place, "_util.checks", "_util.refusals", "_util.values", "_util.weights"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
-
-
-def _imports(path: Path, package: Path, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:
-    """What a file imports: modules of the package by dotted name, others as ``/name``.
-
-    Imports inside functions, for type checkers only and by `import_module` count too; with each
-    comes whether it ever runs, which those for type checkers do not.
-    """
-    folder = _dotted(path.parent / "__init__.py", package)
-    here = [package.name, *folder.split(".")] if folder else [package.name]
-
-    def resolve(name: str, level: int) -> list[str]:
-        above = here[: len(here) + 1 - level] if level else []
-        return above + (name.split(".") if name else [])
-
-    tree = ast.parse(path.read_text("utf-8"))
-    for_types = {
-        inner
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-        for statement in node.body
-        for inner in ast.walk(statement)
-    }
-    for node in ast.walk(tree):
-        targets: list[list[str]] = []
-        if isinstance(node, ast.Import):
-            targets = [resolve(alias.name, 0) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = resolve(node.module or "", node.level)
-            for alias in node.names:
-                if [*base, alias.name] == [package.name, "__version__"]:
-                    continue
-                is_module = ".".join([*base[1:], alias.name]) in modules
-                targets.append([*base, alias.name] if is_module else base)
-        elif isinstance(node, ast.Call) and node.args:
-            called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
-            called = node.func.id if isinstance(node.func, ast.Name) else called
-            first = node.args[0]
-            if called in ("import_module", "__import__") and isinstance(first, ast.Constant):
-                name = str(first.value)
-                level = len(name) - len(name.lstrip("."))
-                targets = [resolve(name.lstrip("."), level)]
-        for target in targets:
-            if target[0] == package.name:
-                yield ".".join(target[1:]), node not in for_types
-            else:
-                yield f"/{target[0]}", node not in for_types
 
 
 def heavy_after_import(package: Path) -> list[str]:

@@ -1,47 +1,25 @@
-"""How much of a package a maintainer must hold in the head: files, lines, constants, chains.
+"""What a maintainer must hold in the head: files, constants, circles, deep stacks, words.
 
     python tests/benchmarks/bench_shape.py [OTHER_PACKAGE …]
 
-Prints a row for this checkout's package and one for every other package folder named. A tuning
-constant is whatever a module keeps under a name in capitals with a number written in its value.
-The chain is the deepest stack, in calls and in files of the package, of one posterior of two
-unknowns, traced in a fresh interpreter that has imported the subpackage: modules that are only
-loaded have no part in it.
+Prints this checkout's package and every other package folder named. A tuning constant is whatever
+a module keeps under a name in capitals with a number written in its value. A circle is a set of
+files, or of rooms, that import each other in any way: imports in functions and for annotations
+alone count. The deepest stack is of the package's own functions, in the first call in a fresh
+interpreter that has imported all its modules. Identifiers are counted that `tests/shape.py` lists.
 """
 
 from __future__ import annotations
 
 import ast
-import json
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import shape
+
 HERE = Path(__file__).parent.parent.parent / "weberwhisk"
-
-TRACE = """
-import json, sys, threading
-import numpy as np, weberwhisk as ww, weberwhisk.inference
-root = ww.__path__[0]
-w = ww.Whisker(50e-3, 100e-6, 5e-6)
-o = ww.Observer(w, ww.cues.ForceMap(), ww.receptors.Weber(0.1))
-reading = np.stack([o.read([20e-3, 0.26], seed=i) for i in range(50)])
-files, deepest, depth = set(), 0, 0
-def trace(frame, event, arg):
-    global deepest, depth
-    inside = frame.f_code.co_filename.startswith(root)
-
-    if inside and event == 'call':
-        files.add(frame.f_code.co_filename); depth += 1; deepest = max(deepest, depth)
-    elif inside and event == 'return':
-        depth -= 1
-sys.setprofile(trace)
-p = ww.posterior(o, reading)
-p.mean, p.sd
-sys.setprofile(None)
-print(json.dumps([deepest, len(files)]))
-"""
 
 
 def has_number(value: ast.expr) -> bool:
@@ -52,7 +30,7 @@ def has_number(value: ast.expr) -> bool:
 
 
 def measure(package: Path) -> dict[str, object]:
-    """The counts of one package."""
+    """What can be counted of one package without running it."""
     files = sorted(package.rglob("*.py"))
     lines = constants = 0
     classes: Counter[str] = Counter()
@@ -67,21 +45,28 @@ def measure(package: Path) -> dict[str, object]:
             named = isinstance(target, ast.Name) and target.id.lstrip("_").isupper()
             value = getattr(node, "value", None)
             constants += bool(named and value is not None and has_number(value))
-    chain = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", TRACE],
-        cwd=package.parent, env={"PYTHONPATH": str(package.parent), "OMP_NUM_THREADS": "1"},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    calls, through = json.loads(chain.stdout)
-    return {
-        "package": str(package.resolve()), "files": len(files), "lines": lines,
-        "constants": constants, "chain, calls": calls, "chain, files": through,
+    measured: dict[str, object] = {
+        "package": package.resolve(), "files": len(files), "lines": lines, "constants": constants,
         "classes twice": [name for name, n in classes.items() if n > 1],
+        "circles of rooms": shape.circles(shape.graph_of_rooms(package)),
+        "circles of files": shape.circles(shape.graph_of_files(package)),
     }  # fmt: skip
+    rooms: Counter[str] = Counter()
+    words: Counter[str] = Counter()
+    for file in files:
+        used = shape.identifiers(file)
+        rooms[file.relative_to(package).parts[0]] += used.total()
+        words += used
+    measured["identifiers"] = words.total()
+    measured["by room"] = ", ".join(f"{room} {n}" for room, n in rooms.most_common() if n)
+    measured["by word"] = ", ".join(f"{word} {n}" for word, n in words.most_common())
+    return measured
 
 
 if __name__ == "__main__":
     for where in (HERE, *map(Path, sys.argv[1:])):
         for key, value in measure(where).items():
-            print(f"{key:16} {value}")
+            print(f"{key:28}{value}")
+        for call in shape.CALLS:
+            print(f"{call:28}{shape.walk(where, call)}")
         print()
