@@ -18,7 +18,7 @@ from ._util.values import Array, Value
 
 __all__ = [
     "DENSITY", "MATERIALS", "SPECIES", "YOUNGS_MODULUS", "Assumed", "Whisker", "identities",
-    "rest_shape", "usual_turn",
+    "is_wire", "rest_shape", "usual_curvature", "usual_turn",
 ]  # fmt: skip
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
@@ -67,6 +67,7 @@ class Whisker(Value):
     curvature : float or array
         Intrinsic curvature at rest, constant along the arc, 1/m; positive bends away from
         the object. Default straight, which observers say where it matters; 0 says that it is.
+        A cylinder (radii equal to within 5 %) is a wire: straight unless a curvature is given.
     density : float or array
         kg/m³.
     hinge_stiffness : float, optional
@@ -399,6 +400,32 @@ def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
     table = _rest_shapes()
     known = [name for kind, name in table if kind == species]
     return table[species, one_of("whisker", identity, known)][:2]
+
+
+def is_wire(whisker: Whisker) -> bool:
+    """Whether the radius is the same all along, to within 5 % as a calliper may be off.
+
+    Whiskers taper, to a third of the base radius or less; what does not is a wire or a rod.
+    """
+    return bool(np.all(whisker.taper <= 0.05))
+
+
+def usual_curvature(whisker: Whisker) -> float | None:
+    """Size of the curvature at rest that is usual of a whisker's kind, 1/m.
+
+    None where its curvature was given, and of a wire, which is straight unless it was bent.
+
+    Examples
+    --------
+    >>> round(usual_curvature(Whisker(50e-3, 100e-6, 5e-6)), 1)
+    8.1
+    >>> usual_curvature(Whisker(50e-3, 100e-6, 100e-6)) is None
+    True
+    """
+    if not isinstance(whisker.curvature, Assumed) or is_wire(whisker):
+        return None
+    named = whisker.identity
+    return float(usual_turn() / whisker.length if named is None else named[2])
 
 
 @cache

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +14,8 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.cli import app
+from weberwhisk import recordings
+from weberwhisk.cli import app, run_app
 from weberwhisk.inference.one_distance import ReadingGroup, one_distance
 from weberwhisk.inference.result import distance_prior
 from weberwhisk.recordings.columns import find_columns
@@ -82,7 +87,102 @@ def test_own_names_units_signs_and_index() -> None:
     assert "opposite sign" not in notes
     named["axial_force"] = "F (mN)"
     found = ww.locate(other, KNOWN, columns=named, units=units, noise=0.1)
-    assert 'columns={"axial_force": "-axial_force"}' in " ".join(found.attrs["notes"])
+    note = next(note for note in found.attrs["notes"] if "opposite sign" in note)
+    named |= _columns_in(note)
+    assert named["axial_force"] == "-F (mN)"
+    found = ww.locate(other, KNOWN, columns=named, units=units, noise=0.1)
+    np.testing.assert_allclose(found["radial_distance_mm"], wanted["radial_distance_mm"], rtol=1e-9)
+    # A minus that does not fit is taken away.
+    other["F (mN)"] *= -1
+    found = ww.locate(other, KNOWN, columns=named, units=units, noise=0.1)
+    note = next(note for note in found.attrs["notes"] if "opposite sign" in note)
+    assert _columns_in(note) == {"axial_force": "F (mN)"}
+
+
+def _columns_in(note: str) -> dict[str, str]:
+    """What a note gives to write for `columns`."""
+    return ast.literal_eval(re.search(r"columns=(\{.*?\})", note)[1])
+
+
+#: Signals of a push, and what turns each into the table's own column and convention.
+OPPOSITE = {
+    "own name and unit": {"moment_uNm": ("moment", 1e6), "axial_force_m_N": ("axial_force", -1e3)},
+    "in space": {"force_x_N": ("axial_force", 1.0), "moment_y_Nm": ("moment", 0.0),
+                 "moment_z_Nm": ("moment", -1.0)},
+    "two in space": {"force_x_mN": ("axial_force", 1e3), "force_y_uN": ("transverse_force", -1e6),
+                     "force_z_uN": ("transverse_force", 0.0), "moment_y_Nm": ("moment", 0.0),
+                     "moment_z_Nm": ("moment", 1.0)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("table", OPPOSITE.values(), ids=OPPOSITE)
+def test_the_note_on_signs_works_as_it_stands(
+    table: dict, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """In Python and on the command line, whatever the columns are called."""
+    truth = np.array([15e-3, 20e-3, 30e-3, 40e-3])
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=3e9, curvature=0)
+    bent = ww.press(whisker, truth, 0.15)
+    columns = {name: size * getattr(bent, of) for name, (of, size) in table.items()}
+    table = pd.DataFrame(columns)
+    found = ww.locate(table, whisker, noise=0.03)
+    note = next(note for note in found.attrs["notes"] if "opposite sign" in note)
+    told = _columns_in(note)
+    assert {column.removeprefix("-") for column in told.values()} <= {*table}
+    found = ww.locate(table, whisker, noise=0.03, columns=told)
+    assert not any("opposite sign" in note for note in found.attrs["notes"])
+    np.testing.assert_allclose(found["radial_distance_mm"], 1e3 * truth, rtol=0.04)
+    table.to_csv(tmp_path / "t.csv", index=False)
+    words = ["locate", str(tmp_path / "t.csv"), "--length-mm", "50", "--base-radius-um", "100",
+             "--tip-radius-um", "5", "--youngs-modulus-gpa", "3", "--curvature-per-m", "0",
+             "--weber-fraction", "0.03"]  # fmt: skip
+    assert run_app(app, words) in (0, None)
+    said = re.search(r"has it otherwise, write (.*)\.", capsys.readouterr().out)[1]
+    assert run_app(app, [*words, *shlex.split(said), "--json"]) in (0, None)
+    answer = json.loads(capsys.readouterr().out)
+    assert not any("opposite sign" in note for note in answer["notes"])
+    located = [row["radial_distance_mm"] for row in answer["rows"]]
+    np.testing.assert_allclose(located, found["radial_distance_mm"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("tip_um", [300.0, 290.0])
+def test_a_cylinder_is_a_straight_wire_unless_said(
+    tip_um: float, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Steel: no curvature as is usual of whiskers is mixed over, whose tables have no folds."""
+    truth = np.array([40e-3, 60e-3, 80e-3, 100e-3, 120e-3, 140e-3])
+    wire = ww.Whisker(0.15, 0.3e-3, tip_um * 1e-6, youngs_modulus=200e9)
+    bent = ww.press(wire, truth, np.arctan(0.03))
+    table = pd.DataFrame({"Mz": 1e3 * bent.moment, "Fy": 1e3 * bent.transverse_force})
+    columns = {"moment": "Mz", "transverse_force": "Fy"}
+    units = {"moment": "mN m", "transverse_force": "mN"}
+    noise = ww.receptors.GeneralisedWeber(0.02, floor=[0, 1e-3 * bent.transverse_force.min()])
+    found = ww.locate(table, wire, columns=columns, units=units, noise=noise)
+    np.testing.assert_allclose(found["radial_distance_mm"], 1e3 * truth, rtol=0.02)
+    assert "a wire and so taken as straight; if it is bent, write curvature=" in (
+        " ".join(found.attrs["notes"])
+    )
+    straight = replace(wire, curvature=0.0)
+    same = ww.locate(table, straight, columns=columns, units=units, noise=noise)
+    assert same["sd_mm"].tolist() == found["sd_mm"].tolist()
+    assert "straight." in " ".join(same.attrs["notes"])
+    assert "a wire and so taken as straight." in recordings.methods_paragraph(found)
+    curved = ww.locate(table, replace(wire, curvature=0.5), columns=columns, units=units,
+                       noise=noise)  # fmt: skip
+    assert "curved." in " ".join(curved.attrs["notes"])
+    assert ww.Observer(wire, ww.cues.ForceMap(["moment", "transverse_force"])).note == ""
+    if tip_um == 300:
+        table.to_csv(tmp_path / "t.csv", index=False)
+        words = ["locate", str(tmp_path / "t.csv"), "--length-mm", "150", "--base-radius-um", "300",
+                 "--tip-radius-um", "300", "--youngs-modulus-gpa", "200", "--weber-fraction",
+                 "0.02", "--column", "moment=Mz", "--unit", "moment=mN m", "--column",
+                 "transverse_force=Fy", "--unit", "transverse_force=mN"]  # fmt: skip
+        assert run_app(app, words) in (0, None)
+        said = " ".join(capsys.readouterr().out.split())
+        assert "taken as straight; if it is bent, write --curvature-per-m 5, say." in said
+        assert run_app(app, ["locate", "--help"]) in (0, None)
+        helped = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert "[default: unknown, as is usual of its kind; of a cylinder 0;" in helped
 
 
 def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:

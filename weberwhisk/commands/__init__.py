@@ -163,7 +163,9 @@ _CALLED = {"as_json": "json", "columns": "column", "units": "unit"}
 #: Remedies in the library's messages (patterns), and the options that replace them.
 _REMEDIES = (
     (r"columns=\{'(\w+)': '([^']+)'\}", r"--column \1='\2'"),
-    (r'columns=\{"(\w+)": "([^"]+)"\}', r"--column \1='\2'"),
+    (r'columns=\{(("\w+": "[^"]+"(, )?)+)\}', lambda found: " ".join(
+        f"--column {n}='{column}'" for n, column in re.findall(r'"(\w+)": "([^"]+)"', found[1])
+    )),
     (r'columns=\{"(\w+)": …\}', r"--column \1='<its name>'"),
     (r"columns key", "--column"),
     (r"; 'none' is for no answer", "; write --label LABEL=none for no answer"),
@@ -203,20 +205,26 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     A parameter is annotated with its type, its line of help and further options of Typer:
     ``Annotated[float, "Sd of ln k.", {"metavar": "SD"}]``. With only a type it is the shared
     parameter of its name. Without a default, or with ``{"argument": True}``, it is an argument.
-    The parameter `shape` stands for all options of a whisker.
+    The parameter `shape` stands for all options of a whisker;
+    ``Annotated[Shape, {"identity": "..."}]`` gives some of them other help.
     """
     given = dict(inspect.signature(function, eval_str=True).parameters)
-    shaped = given.pop("shape", None) is not None
+    shape = given.pop("shape", None)
+    shaped = shape is not None
+    helps = dict(*getattr(shape.annotation, "__metadata__", ())) if shape else {}
     kinds = {name: None for name in _SHAPE} if shaped else {}
     kinds |= {name: p.default for name, p in given.items()}
     parameters = []
     for name, default in kinds.items():
         kind = _SHAPE[name] if name not in given else given[name].annotation
         kind = kind if get_origin(kind) is Annotated else _SHARED[name]
+        type_of, line, *more = get_args(kind)
         parameters.append(
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=default,
-                annotation=_with_typer(name, default is inspect.Parameter.empty, *get_args(kind)),
+                annotation=_with_typer(
+                    name, default is inspect.Parameter.empty, type_of, helps.get(name, line), *more
+                ),
             )
         )  # fmt: skip
 

@@ -197,12 +197,17 @@ def curve_in_steps(
 # -- measured contacts ----------------------------------------------------------------------------
 
 _VIDEO, _SENSOR = {"rich_help_panel": "Tracked video"}, {"rich_help_panel": "Sensor"}
+_AT_REST = (
+    "Curvature at rest, above 0 where touched on the convex side; own for that of the --identity, "
+    "0 for straight.  [default: unknown, as is usual of its kind; of a cylinder 0; of a tracked "
+    "video from its free frames]"
+)
 
 
 @opt.command
 def locate(
     contacts: Annotated[Path, "Table of contacts (CSV, Parquet, Excel), or a tracker's file."],
-    shape: opt.Shape = opt.NO_SHAPE,
+    shape: Annotated[opt.Shape, {"curvature_per_m": _AT_REST}] = opt.NO_SHAPE,
     column: opt.Texts = None,
     unit: opt.Texts = None,
     touch: Annotated[opt.Text, "Column that numbers touches.", {"metavar": "COLUMN"}] = None,

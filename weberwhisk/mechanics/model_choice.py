@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._util.checks import finite, positive
 from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Line, member
-from ..whisker import Assumed, Whisker, rest_shape, usual_turn
+from ..whisker import Whisker, rest_shape, usual_curvature, usual_turn
 from .contact import Model, Outcome, friction, signals_of
 from .equilibrium import common_shape
 from .ladder import press_by, signal_jacobian
@@ -351,7 +351,7 @@ def _at_rest(whisker: Whisker | Profile) -> Whisker | Profile | None:
         plain, straight = whisker.whisker, not np.any(whisker.law(whisker.arc[[0, -1]]))
     else:
         plain, straight = whisker, not np.any(whisker.curvature)
-    bow = usual_turn() / plain.length if isinstance(plain.curvature, Assumed) else None
+    bow = usual_curvature(plain)
     if plain.identity is not None:
         species, follicle, bow = plain.identity
         if not straight and plain is whisker and plain.hinge_stiffness is None:

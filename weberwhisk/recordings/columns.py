@@ -105,18 +105,15 @@ def find_columns(
                 f"The table has no column {column!r}, mapped from {quantity!r}",
                 remedy=f"it has {checks.listed(header, 8)}",
             )
-        found[quantity] = _of(quantity, column, column, units)
+        found[quantity] = _of(quantity, column, _unit_text(quantity, column), units)
     taken = {column for column, _, _ in found.values()}
     for column in header:
         if column in taken:
             continue
         # Longest names first, so that `moment_rate` is not read as a moment in the unit "rate".
         for quantity in sorted(NAMES, key=len, reverse=True):
-            unit = r"[_ (\[]+(.+?)[)\]]?"
-            rest = re.fullmatch(rf"{quantity}(?:{unit})?", column)
-            if rest is None and quantity.endswith("_sd"):
-                rest = re.fullmatch(rf"{quantity.removesuffix('_sd')}{unit}_sd", column)
-            if rest is None or (rest[1] and unit_factor(rest[1], NAMES[quantity]) is None):
+            text = _unit_text(quantity, column)
+            if text is None:
                 continue
             if quantity in (columns or {}):
                 break
@@ -125,7 +122,7 @@ def find_columns(
                     f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}",
                     remedy=f'say which with columns={{"{quantity}": "{column}"}}',
                 )
-            found[quantity] = _of(quantity, column, rest[1] or "", units)
+            found[quantity] = _of(quantity, column, text, units)
             break
     for quantity, (column, _, said) in found.items():
         of = found.get(quantity.removesuffix("_sd"))
@@ -140,7 +137,19 @@ def find_columns(
     return found
 
 
-def _of(quantity: str, column: str, text: str, units: Any) -> tuple[str, float, bool]:
+def _unit_text(quantity: str, column: str) -> str | None:
+    """The unit behind our name of a quantity, "" for none; None for a column of another name."""
+    unit = r"[_ (\[]+(.+?)[)\]]?"
+    rest = re.fullmatch(rf"{quantity}(?:{unit})?", column)
+    if rest is None and quantity.endswith("_sd"):
+        rest = re.fullmatch(rf"{quantity.removesuffix('_sd')}{unit}_sd", column)
+    if rest is None or (rest[1] and unit_factor(rest[1], NAMES[quantity]) is None):
+        return None
+    return rest[1] or ""
+
+
+def _of(quantity: str, column: str, text: str | None, units: Any) -> tuple[str, float, bool]:
+    """Column, unit and whether one was given, of a quantity; `text` is as from `_unit_text`."""
     kind = NAMES[quantity]
     given = (units or {}).get(quantity)
     if given is not None:
@@ -153,12 +162,12 @@ def _of(quantity: str, column: str, text: str, units: Any) -> tuple[str, float, 
         return column, factor, True
     # The text after our name, or the longest suffix of another name that is a unit. A single
     # letter before a unit is then not a prefix: m_Nm is a moment m in N m.
-    words = re.split(r"[_ (\[\])]+", text.strip(" )]"))
+    words = re.split(r"[_ (\[\])]+", column.strip(" )]"))
     last = len(words) - 1
     suffixes = [
         "_".join(words[i:]) for i in range(1, last + 1) if i == last or words[i] not in PREFIX
     ]
-    for suffix in suffixes if text == column else [text]:
+    for suffix in suffixes if text is None else [text]:
         factor = unit_factor(suffix, kind) if suffix else None
         if factor is not None:
             return column, factor, True
@@ -299,7 +308,26 @@ def _table(table: Any) -> pd.DataFrame:
 # -- which readings they are ----------------------------------------------------------------------
 
 
-def sign_note(si: dict[str, Array], shapes: Sequence[Any], notes: list[str]) -> None:
+def reversing(
+    quantities: Sequence[str], found: Mapping[str, tuple[str, float, bool]],
+    columns: Mapping[str, str] | None,
+) -> dict[str, str]:  # fmt: skip
+    """The `columns` to write so that quantities have the opposite sign, by the table's names."""
+    # Components in space, from which `planar` computed a signal, are reversed themselves.
+    in_space = {"axial_force": ["force_x"], "transverse_force": ["force_y", "force_z"]}
+    out = {}
+    for quantity in quantities:
+        for name in [n for n in in_space.get(quantity, []) if n in found] or [quantity]:
+            column = found[name][0]
+            is_reversed = (columns or {}).get(name, column) != column
+            out[name] = column if is_reversed else f"-{column}"
+    return out
+
+
+def sign_note(
+    si: dict[str, Array], shapes: Sequence[Any], found: Mapping[str, tuple[str, float, bool]],
+    columns: Mapping[str, str] | None, notes: list[str],
+) -> None:  # fmt: skip
     """Note the sign convention in which the rows fit the whisker clearly better.
 
     `shapes` holds, for each possible shape at rest, the rows of either side and the whisker as
@@ -333,12 +361,12 @@ def sign_note(si: dict[str, Array], shapes: Sequence[Any], notes: list[str]) -> 
     if cost[best] < cost[0] - 6:
         turned = [name for name, sign in zip(free, signs[best], strict=True) if sign < 0]
         said = " and ".join(name.replace("_", " ") for name in turned)
-        write = ", ".join(f'"{name}": "-{name}"' for name in turned)
+        reverse = reversing(turned, found, columns)
+        write = ", ".join(f'"{name}": "{column}"' for name, column in reverse.items())
         notes.append(
             f"The rows fit this whisker better with the {said} of the opposite sign, and are taken "
             "as they are: the axial force above zero in compression, angle and transverse force of "
-            f"the moment's sign; if the table has it otherwise, write columns={{{write}}}, a minus "
-            "before the column's name."
+            f"the moment's sign; if the table has it otherwise, write columns={{{write}}}."
         )
 
 

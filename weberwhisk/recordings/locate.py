@@ -24,7 +24,7 @@ from ..inference.result import distance_prior
 from ..inference.tree import TOLERANCE
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
-from ..whisker import Whisker
+from ..whisker import Assumed, Whisker, is_wire
 from .calibration import Calibration, averaged
 from .columns import (
     COMMON,
@@ -77,7 +77,8 @@ def locate(
         for every signal used or for none. File formats as in `read_trials`.
     whisker : Whisker, Profile or Calibration
         If its shape at rest was not given, its curvature has a normal prior of mean 0 and the sd
-        of its follicle or of whiskers in general; ``curvature=0`` makes it straight. A calibration
+        of its follicle or of whiskers in general; ``curvature=0`` makes it straight. A cylinder is
+        a wire, and straight unless it was given a curvature. A calibration
         by taps supplies cue and noise: distances are means over draws from its posterior, and
         their sds and intervals include its uncertainty. A table of `tracked_signals` supplies the
         curvature at rest; its moment and forces are proportional to one stiffness, which is then
@@ -197,7 +198,8 @@ def locate(
         side = one_side(si, named, notes)
         if len({*SIGNED} & {*si}) > 1:
             bent = cases_of(whisker, ForceMap(), bow, side, [default_noise], None)
-            sign_note(si, [[(rows, o.whisker) for rows, o in c[0]] for c in bent.cases], notes)
+            shapes = [[(rows, o.whisker) for rows, o in c[0]] for c in bent.cases]
+            sign_note(si, shapes, found, columns, notes)
     cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, [*raw.columns])
     bow = bow if cue.takes_curved else None
     own: Any = whisker
@@ -311,6 +313,11 @@ def _whisker_in_words(whisker: Any, bow: float | None) -> str:
         f"Whisker: {1e3 * plain.length:.3g} mm long, radius {1e6 * plain.base_radius:.3g} to "
         f"{1e6 * plain.tip_radius:.3g} µm"
     )
+    if bow is None and isinstance(plain.curvature, Assumed) and not is_curved(whisker):
+        if not (is_wire(plain) or plain.hinge_stiffness):
+            return f"{out}, taken as straight."
+        what = "a wire and so " if is_wire(plain) else ""
+        return f"{out}, {what}taken as straight; if it is bent, write curvature=5, say."
     if bow is None:
         return f"{out}, {'curved' if is_curved(whisker) else 'straight'}."
     own = "from_identity(..., curved=True)" if plain.identity else f"curvature={bow:.2g}"

@@ -30,7 +30,7 @@ from ..inference.weighted import between_nodes, extrapolated, in_one
 from ..mechanics import Profile, Spiral
 from ..mechanics.shape import with_modulus
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
-from ..whisker import Assumed, usual_turn
+from ..whisker import usual_curvature
 
 #: Prior of the Weber fraction of a table's signals: median, and sd of its ln. Forces on real
 #: tracked whiskers needed 0.2 to 0.3; simulated receptors have 0.1.
@@ -262,14 +262,13 @@ class Mixed(NamedTuple):
 
 
 def usual_bow(whisker: Any) -> float | None:
-    """Sd of the prior of curvature at rest (1/m); None where the curvature was given."""
+    """Sd of the prior of curvature at rest (1/m); None where it was given, and of a wire."""
     plain = getattr(whisker, "whisker", whisker)
-    if not isinstance(plain.curvature, Assumed) or is_curved(whisker) or plain.hinge_stiffness:
+    bow = usual_curvature(plain)
+    if bow is None or is_curved(whisker) or plain.hinge_stiffness:
         return None
-    length = float(plain.length)
-    bow = plain.identity[2] if plain.identity is not None else usual_turn() / length
     # At the largest of `SCORES` it turns by no more than the domain's 2 rad from base to tip.
-    return min(float(bow), 2.0 / SCORES[-1] / length)
+    return min(bow, 2.0 / SCORES[-1] / float(plain.length))
 
 
 def cases_of(
