@@ -21,6 +21,7 @@ import scipy.stats
 from test_misuse import MISUSES, RECEPTOR_AND_CUE_MISUSES
 
 import weberwhisk as ww
+from weberwhisk._util.refusals import in_code
 from weberwhisk.cli import app, run_app
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +40,7 @@ def sentences() -> Iterator[tuple[str, str]]:
         for node in ast.walk(tree):
             inside.update(node.values if isinstance(node, ast.JoinedStr) else ())
             inside.update([node.value] if isinstance(node, ast.Expr) else ())
+            inside.update(node.args if is_piece(node) else ())
         for node in ast.walk(tree):
             at = f"{path.relative_to(PACKAGE)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.JoinedStr):
@@ -47,6 +49,29 @@ def sentences() -> Iterator[tuple[str, str]]:
                 yield at, "".join(parts)
             elif isinstance(getattr(node, "value", None), str) and node not in inside:
                 yield at, node.value
+            elif is_piece(node) and node not in inside:
+                yield at, f"write {as_said(node)}"
+
+
+def is_piece(node: ast.AST) -> bool:
+    """Whether this makes an argument or a call that advice gives to type."""
+    return isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("argument", "call")
+
+
+def as_said(node: Any) -> str:
+    """What such a piece says in Python."""
+    if not is_piece(node):
+        return f"*{VALUE}" if isinstance(node, ast.Starred) else VALUE
+    first, *others = node.args
+    name = first.value if isinstance(first, ast.Constant) else VALUE
+    if node.func.id == "call":
+        texts = (n.value if isinstance(n, ast.Constant) else as_said(n) for n in others)
+        return f"{name}({', '.join(texts)})"
+    try:
+        value = in_code(ast.literal_eval(others[0])).replace("…", VALUE)
+    except ValueError:
+        value = VALUE
+    return f"{name}={value}"
 
 
 def given_code(sentence: str) -> Iterator[str]:
@@ -146,7 +171,8 @@ def test_what_a_sentence_gives_to_type_runs_as_it_stands(
     known, wrong, lines = keywords(), [], 0
     for at, code, sentence in all_advice():
         lines += 1
-        names = session | ({"table": session["slopes"]} if "recordings" in at else {})
+        names = {name: getattr(ww, name) for name in ww.__all__} | session
+        names |= {"table": session["slopes"]} if "recordings" in at else {}
         for module in re.findall(r"from (weberwhisk[\w.]*\w)", sentence):
             names |= vars(importlib.import_module(module))
         keyword = re.match(r"(\w+)=[^=]", code)

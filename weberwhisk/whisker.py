@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import domain
 from ._util.checks import finite, one_of, positive, positive_number, shown
-from ._util.refusals import Refusal
+from ._util.refusals import Refusal, argument, named
 from ._util.values import Array, Value
 
 __all__ = [
@@ -227,10 +227,11 @@ class Whisker(Value):
         row = table[one_of("whisker", identity, table)]
         if not isinstance(curved, bool | np.bool_):
             raise Refusal(
-                "curved must be True or False",
+                named("curved") + " must be True or False",
                 shown(curved),
-                "write curved=True for this follicle's measured curvature, or give "
-                "Whisker a curvature in 1/m",
+                "write "
+                + argument("curved", True)
+                + " for this follicle's measured curvature, or give Whisker a curvature in 1/m",
             )
         length, base = row["length_mm"], row["base_diameter_um"]
         if seed is not None:

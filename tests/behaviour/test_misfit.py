@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from short_forms import short_or_full, slow_but
 
+from weberwhisk._util.refusals import argument, call
 from weberwhisk.behaviour import (
     FitStatus,
     PopulationStatus,
@@ -21,7 +22,7 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.commands import with_options
+from weberwhisk.commands import as_options
 from weberwhisk.plots import engagement
 
 FOUR = [-0.3, -0.1, 0.1, 0.3]
@@ -62,7 +63,7 @@ def test_what_does_not_hold_is_the_status_and_the_advised_fit_is_better(trouble:
     known = {**vars(effects), "fit_weber": fit_weber, "trials": trials}
     better = max(eval(line, known).log_evidence for line in lines)
     assert better > fit.log_evidence + 3
-    assert "fit_weber" not in with_options(fit.report())
+    assert "fit_weber" not in as_options(fit.report())
 
 
 def test_a_belief_about_lapses_that_decides_is_the_status() -> None:
@@ -73,8 +74,8 @@ def test_a_belief_about_lapses_that_decides_is_the_status() -> None:
 
 def test_options_of_a_fit_stay_in_what_is_advised() -> None:
     fit = fit_weber(animal("MISFIT_STREAKS"), bias="none", noise="equal-variance")
-    assert 'fit_weber(trials, bias="none", noise="equal-variance", states=3)' in fit.report()
-    assert '--bias "none" --noise "equal-variance" --states 3' in with_options(fit.report())
+    assert "fit_weber(trials, bias='none', noise='equal-variance', states=3)" in fit.report()
+    assert "--bias none --noise equal-variance --states 3" in as_options(fit.report())
 
 
 @short_or_full("more", [], [effects.Contraction()])
@@ -88,9 +89,10 @@ def test_effects_with_arguments_are_advised_as_they_are_typed(more: list[effects
     again = eval(line, {**vars(effects), "fit_weber": fit_weber, "trials": trials})
     assert again.effects == ("laser", *("contraction" for _ in more))
     also = " --effect contraction" if more else ""
-    assert f"--effect covariate:laser{also} --states 3" in with_options(fit.report())
-    two = "[Covariate('a b', on='weber_fraction'), Contraction()]"
-    said = with_options(f"fit_weber(trials, effects={two})")
+    assert f"--effect covariate:laser{also} --states 3" in as_options(fit.report())
+    two = [effects.Covariate("a b", on="weber_fraction"), effects.Contraction()]
+    said = as_options(call("fit_weber", "trials", argument("effects", two)))
+    assert as_options(argument("effects", two)) == said
     assert said == "--effect 'covariate:a b:weber_fraction' --effect contraction"
 
 

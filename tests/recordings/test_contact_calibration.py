@@ -144,7 +144,7 @@ def test_columns_of_distance_and_slope_by_any_name(
         suffixed = table.rename(columns={"Abstand": f"d [{unit}]"})
         found = ww.calibrate(suffixed, NOMINAL, columns=names | {"radial_distance": f"d [{unit}]"})
         pd.testing.assert_frame_equal(found.parameters, plain)
-    with pytest.raises(ValueError, match=r'in metres: write units=\{"radial_distance": "mm"\}'):
+    with pytest.raises(ValueError, match=r"in metres: write units=\{'radial_distance': 'mm'\}"):
         ww.calibrate(own, NOMINAL, columns=names)
     path = tmp_path / "taps.csv"
     own.to_csv(path, sep=";", decimal=",", index=False)

@@ -336,7 +336,7 @@ def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side()
     [
         ({"moment": [1e-6]}, {}, "the columns 'moment', of which moment is known: needed are two"),
         ({"a": [1], "b": [2]}, {}, "the columns 'a', 'b', of which none is known: needed are two"),
-        ({"moment": [3e-6], "axial_force": [0.08]}, {}, 'did you pass mN\\?.*"mN"'),
+        ({"moment": [3e-6], "axial_force": [0.08]}, {}, "did you pass mN\\?.*'mN'"),
         ({"moment": [3.0], "axial_force": [8e-5]}, {}, "did you pass uN m\\?"),
         ({"moment_uNm": [3e-6], "axial_force": [8e-5]}, {}, "far below .* did you pass N m\\?"),
         ({"moment": [3e-6], "axial_force": [8e-5]}, {"cue": ww.cues.SpaceMap()}, "leave cue out"),
@@ -388,7 +388,7 @@ def test_what_a_tracker_wrote_is_told_what_it_lacks(
     measured = ww.read_tracking(file, pixels_per_mm=20, frame_rate=500, shortest_px=200)
     with pytest.raises(ValueError, match=r"points are what is missing: read Whisk's \.whiskers"):
         ww.locate(measured, C2)
-    with pytest.raises(ValueError, match=r"test_5frames\.measurements is of a tracker: forces"):
+    with pytest.raises(ValueError, match=r"test_5frames\.measurements is of a tracker; forces"):
         ww.locate(file, C2)
     points = tmp_path / "tracked_session.csv"
     rows = [f"{frame},{60 * i},{i}" for frame in range(12) for i in range(9)]

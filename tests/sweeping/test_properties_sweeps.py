@@ -68,9 +68,7 @@ def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
     if np.isfinite(s.end):
         assert s.ended_by not in (Outcome.HELD, Outcome.OUT_OF_REACH)
         assert not held[s.rotation > s.end].any()
-    other = sweep(
-        scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS
-    )
+    other = sweep(scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS)
     np.testing.assert_array_equal(other.bending.outcome, b.outcome)
     np.testing.assert_allclose(
         other.bending.moment[held], b.moment[held] * stiff * size**3,

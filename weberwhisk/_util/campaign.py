@@ -26,7 +26,7 @@ import numpy as np
 
 from . import checks, output
 from .output import Log, shown
-from .refusals import Refusal
+from .refusals import Refusal, argument, named
 from .values import pd
 
 if TYPE_CHECKING:
@@ -119,7 +119,9 @@ def run(
         workers = 1
     if scheduler is not None and workers != 1:
         raise Refusal(
-            "a cluster has its own workers", f"workers={workers} with a scheduler", "leave one out"
+            "a cluster has its own workers",
+            argument("workers", workers) + " with a scheduler",
+            "leave one out",
         )
     versions = output.versions("numpy", "scipy")  # what the bits of a result depend on
     question = {
@@ -203,7 +205,7 @@ def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
         return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise Refusal(
-            "seed must be a whole number or a SeedSequence",
+            named("seed") + " must be a whole number or a SeedSequence",
             f"{seed!r}",
             "a sweep that is resumed must find the same seeds again: write 1, say",
         )

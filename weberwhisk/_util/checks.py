@@ -10,7 +10,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .refusals import Refusal
+from .refusals import Advice, Refusal, argument, named
 from .values import Array, Flags
 
 __all__ = [
@@ -25,14 +25,14 @@ def numbers(name: str, value: ArrayLike, hint: str) -> Array:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise Refusal(f"{name} must be a number", shown(value), hint) from None
+        raise Refusal(_subject(name) + " must be a number", shown(value), hint) from None
 
 
 def finite(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array, refused where it is text, NaN or infinite."""
     array = numbers(name, value, hint)
     if not np.all(np.isfinite(array)):
-        raise Refusal(f"{name} must be finite", _first(array, ~np.isfinite(array)), hint)
+        raise Refusal(_subject(name) + " must be finite", _first(array, ~np.isfinite(array)), hint)
     return array
 
 
@@ -60,7 +60,7 @@ def positive(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers above zero."""
     array = finite(name, value, hint)
     if not np.all(array > 0):
-        raise Refusal(f"{name} must be above zero", _first(array, ~(array > 0)), hint)
+        raise Refusal(_subject(name) + " must be above zero", _first(array, ~(array > 0)), hint)
     return array
 
 
@@ -68,7 +68,7 @@ def non_negative(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers of zero or more."""
     array = finite(name, value, hint)
     if not np.all(array >= 0):
-        raise Refusal(f"{name} must not be negative", _first(array, array < 0), hint)
+        raise Refusal(_subject(name) + " must not be negative", _first(array, array < 0), hint)
     return array
 
 
@@ -76,7 +76,7 @@ def number(name: str, value: ArrayLike, hint: str) -> float:
     """`value` as one finite number."""
     array = finite(name, value, hint)
     if array.size != 1:
-        raise Refusal(f"{name} must be one number", array.size, hint)
+        raise Refusal(_subject(name) + " must be one number", array.size, hint)
     return float(array.reshape(()))
 
 
@@ -97,7 +97,7 @@ def between(
     one = number(name, value, hint)
     left_out = [end for end, bracket in zip((low, high), ends, strict=True) if bracket in "()"]
     if not low <= one <= high or one in left_out:
-        raise Refusal(f"{name} must lie between {low:g} and {high:g}", f"{one:g}", hint)
+        raise Refusal(_subject(name) + f" must lie between {low:g} and {high:g}", f"{one:g}", hint)
     return one
 
 
@@ -113,19 +113,21 @@ def whole(name: str, value: object, hint: str, least: int = 1) -> int:
         number = float(array.reshape(()))
         if number.is_integer() and least <= number < 2**53:
             return int(number)
-    raise Refusal(f"{name} must be a whole number of {least} or more", shown(value), hint)
+    raise Refusal(
+        _subject(name) + f" must be a whole number of {least} or more", shown(value), hint
+    )
 
 
 def kind(name: str, value: object, wanted: str, having: str, hint: str) -> None:
     """Refuses what has no attribute `having`, and classes where one of their objects is wanted."""
     if isinstance(value, type) or not hasattr(value, having):
-        raise Refusal(f"{name} must be {wanted}", shown(value), hint)
+        raise Refusal(_subject(name) + f" must be {wanted}", shown(value), hint)
 
 
 def several(name: str, value: object, hint: str) -> list[Any]:
     """`value` as a list, refused where it is one thing or text."""
     if isinstance(value, str | bytes | type) or not isinstance(value, Iterable):
-        raise Refusal(f"{name} must be a list", shown(value), hint)
+        raise Refusal(_subject(name) + " must be a list", shown(value), hint)
     return list(value)
 
 
@@ -135,9 +137,10 @@ def generator(seed: Any) -> np.random.Generator:
         return np.random.default_rng(seed)
     except (TypeError, ValueError):
         raise Refusal(
-            "seed must be a whole number of zero or more, a SeedSequence or a Generator",
+            named("seed")
+            + " must be a whole number of zero or more, a SeedSequence or a Generator",
             shown(seed),
-            "write seed=1, say",
+            "write " + argument("seed", 1) + ", say",
         ) from None
 
 
@@ -190,7 +193,8 @@ def one_of(name: str, value: object, choices: Iterable[str]) -> str:
     near = get_close_matches(str(value), known, n=1)
     meant = f" (did you mean {near[0]!r}?)" if near else ""
     raise Refusal(
-        f"{name} {shown(value)} is unknown{meant}", remedy=f"choose one of {', '.join(known)}"
+        _subject(name) + f" {shown(value)} is unknown{meant}",
+        remedy=f"choose one of {', '.join(known)}",
     )
 
 
@@ -200,12 +204,17 @@ def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...
     names = (value,) if isinstance(value, str) else value
     hint = f"write {known[:2]}, say"
     if not np.iterable(names):
-        raise Refusal(f"{name} must be a list of names", shown(value), hint)
+        raise Refusal(_subject(name) + " must be a list of names", shown(value), hint)
     single = f"{name[:-3]}y" if name.endswith("ies") else name.removesuffix("s")
     found = tuple(one_of(single, each, known) for each in names)
     if not found or len(set(found)) < len(found):
-        raise Refusal(f"{name} must be one or more, each once", list(found), hint)
+        raise Refusal(_subject(name) + " must be one or more, each once", list(found), hint)
     return found
+
+
+def _subject(name: str) -> Advice:
+    """What a refusal is about: a parameter, by its name."""
+    return name if isinstance(name, Advice) else named(name)
 
 
 def _first(array: Array, bad: Flags) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import __version__
+from .refusals import Advice
 
 __all__ = [
     "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded",
@@ -340,10 +341,12 @@ def methods_text(sentences: Sequence[str]) -> str:
 
 def paragraphs(parts: Mapping[str, Sequence[str]], width: int | None = None) -> str:
     """A report: a paragraph for each heading, its sentences one a line, or wrapped to a width."""
-    found = []
+    out: list[str] = []
     for heading, sentences in parts.items():
         if width is None:
-            found.append(("\n" if len(sentences) > 1 else " ").join([f"{heading}.", *sentences]))
+            out.append(
+                Advice.joined("\n" if len(sentences) > 1 else " ", [f"{heading}.", *sentences])
+            )
         else:
-            found.append(textwrap.fill(" ".join([f"{heading}.", *sentences]), width))
-    return "\n\n".join(found) + "\n"
+            out.append(textwrap.fill(" ".join([f"{heading}.", *sentences]), width))
+    return Advice.joined("\n\n", out) + "\n"

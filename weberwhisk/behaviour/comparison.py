@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.sampling import pointwise_loo
 from .._util.values import Array, Index, Line, Shown
 from .axes import lapse_prior, score_prior
@@ -165,8 +165,9 @@ def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
         )
     if model.n_states > 1:
         raise Refusal(
-            f"trials of an observer with states={model.n_states} follow each other, so none "
-            "can be left out alone",
+            "trials of an observer with "
+            + argument("states", model.n_states)
+            + " follow each other, so none can be left out alone",
             remedy="subtract one fit's log_evidence from the other's",
         )
     chains = fit.posterior.chains
@@ -242,7 +243,7 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
     if model.n_states > 1:
         raise Refusal(
             "Weber's law is tested of one state",
-            f"states={model.n_states}",
+            argument("states", model.n_states),
             "fit the trials of each standard, trials.select(standard=...), with states",
         )
     if fit.standards.size < 2:

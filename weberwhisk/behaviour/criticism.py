@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .._util.checks import generator, one_of
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument, call
 from .._util.values import Array, Index
+from .effects import Drift, Effect, History, Overdispersion, WinStay
 from .encodings import encoding_for
 from .estimates import Estimates, check_fit, compared
 from .likelihood import gather
@@ -329,61 +330,57 @@ def _in_words(fit: Estimates, name: str, row: pd.Series) -> str:
 def advice(fit: Estimates) -> str | None:
     """What to write next where the model does not hold, or hangs on beliefs."""
     several = len(fit.trials.sessions) > 1
-    fewer = (
-        f"take fewer sessions at once, trials.select(session={fit.trials.sessions[-1]!r})"
-        if several
-        else "look for what changed within the session"
-    )
+    fewer: str = "look for what changed within the session"
+    if several:
+        last = call("trials.select", argument("session", fit.trials.sessions[-1]))
+        fewer = "take fewer sessions at once, " + last
     if fit.status is FitStatus.MISFIT_STREAKS:
         new = several and "drift" not in fit.effects
-        either = f" and {_with(fit, 'Drift')}" if new else ""
-        return (
-            f"Nothing yet: first {_with(fit, states=3)}{either}, and keep the fit with the "
-            "greatest log_evidence."
-        )
+        either = " and " + _with(fit, Drift()) if new else ""
+        best = ", and keep the fit with the greatest log_evidence."
+        return "Nothing yet: first " + _with(fit, states=3) + either + best
     if fit.status is FitStatus.MISFIT_HISTORY:
-        missing = [
-            effect
-            for effect, name in (("History", "history"), ("WinStay", "win_stay"))
-            if name not in fit.effects
-        ]
-        return f"Nothing yet: first {_with(fit, *missing) if missing else fewer}."
+        missing = [e for e in (History(), WinStay()) if e.name not in fit.effects]
+        return Advice.joined(
+            "", ["Nothing yet: first ", _with(fit, *missing) if missing else fewer, "."]
+        )
     if fit.status is FitStatus.MISFIT_DRIFT:
         new = several and "drift" not in fit.effects
-        return f"Nothing yet: first {_with(fit, 'Drift') + ', or ' if new else ''}{fewer}."
+        return Advice.joined(
+            "", ["Nothing yet: first ", _with(fit, Drift()) + ", or " if new else "", fewer, "."]
+        )
     if fit.status is FitStatus.MISFIT_OVERDISPERSION:
         new = fit.model.n_states == 1 and fit.model.dispersed is None
-        return f"Nothing yet: first {_with(fit, 'Overdispersion') if new else fewer}."
+        return Advice.joined(
+            "", ["Nothing yet: first ", _with(fit, Overdispersion()) if new else fewer, "."]
+        )
     if fit.status is FitStatus.MISFIT_CURVE:
         model = fit.model
         if model.task.has_bias and fit.bias != "per standard" and fit.standards.size > 1:
-            return f"Nothing yet: first {_with(fit, bias='per standard')}."
+            return "Nothing yet: first " + _with(fit, bias="per standard") + "."
         if fit.noise == "weber":
-            return f"Nothing yet: first {_with(fit, noise='equal-variance')}, or an encoding."
-        return f"Nothing yet: first {fewer}."
+            return "Nothing yet: first " + _with(fit, noise="equal-variance") + ", or an encoding."
+        return Advice.joined("", ["Nothing yet: first ", fewer, "."])
     if fit.status is FitStatus.PRIOR_DEPENDENT:
         return (
             "Easy comparisons, further from the standard than any so far: they alone determine the "
-            "lapses. Or state what is known of them, priors={'lapse_low': 0.02, 'lapse_high': "
-            "0.02}, say."
+            "lapses. Or state what is known of them, "
+            + argument("priors", {"lapse_low": 0.02, "lapse_high": 0.02})
+            + ", say."
         )
     return None
 
 
-def _with(fit: Estimates, *more: str, **changed: Any) -> str:
+def _with(fit: Estimates, *more: Effect, **changed: Any) -> Advice:
     """The same fit with more effects or another option, as one would write it."""
-    own = fit.model.effects
-    names = dict.fromkeys([*(type(effect).__name__ for effect in own), *more])
-    made = [*(effect.typed for effect in own), *(f"{name}()" for name in more)]
+    effects = [*fit.model.effects, *more]
+    names = dict.fromkeys(type(effect).__name__ for effect in effects)
     usual = {"bias": "shared" if fit.model.task.has_bias else "none", "noise": "weber", "states": 1}
     options = {"bias": fit.bias, "noise": fit.noise, "states": fit.model.n_states} | changed
-    said = [f"effects=[{', '.join(made)}]"] if made else []
-    for name, value in options.items():
-        if value != usual[name]:
-            said.append(f'{name}="{value}"' if isinstance(value, str) else f"{name}={value}")
-    call = f"fit_weber({', '.join(['trials', *said])})"
+    given = [argument("effects", effects)] if effects else []
+    given += [argument(name, value) for name, value in options.items() if value != usual[name]]
     imported = f", with from weberwhisk.behaviour.effects import {', '.join(names)}"
-    return call + imported * bool(names) + _kept(fit)
+    return call("fit_weber", "trials", *given, also=imported * bool(names)) + _kept(fit)
 
 
 def _kept(fit: Estimates) -> str:

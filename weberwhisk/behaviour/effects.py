@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, named
 from .._util.values import Array, Fields, pd
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
@@ -40,6 +40,11 @@ class Effect:
     def typed(self) -> str:
         """The effect as it is typed, with its default prior."""
         return f"{type(self).__name__}()"
+
+    @property
+    def by_name(self) -> str:
+        """The text by which `effect_named` knows the effect."""
+        return self.name
 
     def bound(self, encodings: UnitEncodings, n: Array) -> Effect:
         """The effect with its scale taken from the stimuli of the table, `n` trials of each."""
@@ -272,6 +277,11 @@ class Covariate(Effect, Fields):
         on = f", on={self.on!r}" if self.on != "bias" else ""
         return f"Covariate({self.of!r}{on})"
 
+    @property
+    def by_name(self) -> str:
+        on = f":{self.on}" if self.on != "bias" else ""
+        return f"covariate:{self.of}{on}"
+
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         checks.one_of("the column of a Covariate", self.of, map(str, trials.frame.columns))
         if self.on == "bias" and not trials.task.has_bias:
@@ -315,13 +325,13 @@ def check_effects(effects: Any) -> None:
     """Refuses what is not a sequence of effects, with what to write instead."""
     if isinstance(effects, str) or not isinstance(effects, Sequence):
         raise Refusal(
-            "effects must be a sequence",
+            named("effects") + " must be a sequence",
             checks.shown(effects),
             "write effects=[Drift()], say, with Drift from weberwhisk.behaviour.effects",
         )
     for effect in effects:
-        named = EFFECTS.get(effect) if isinstance(effect, str) else None
-        instead = type(named).__name__ if named else getattr(effect, "__name__", "Drift")
+        usual = EFFECTS.get(effect) if isinstance(effect, str) else None
+        instead = type(usual).__name__ if usual else getattr(effect, "__name__", "Drift")
         checks.kind(
             "an effect", effect, "an Effect", "apply",
             f"write {instead}(), from weberwhisk.behaviour.effects",

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
 from . import criticism, report
@@ -259,9 +259,9 @@ def fit_weber(
     if states > 1:
         if used != "importance":
             raise Refusal(
-                f"states={states} is fitted by importance sampling alone",
-                f"method={method!r}",
-                "leave method out",
+                argument("states", states) + " is fitted by importance sampling alone",
+                argument("method", method),
+                "leave " + named("method") + " out",
             )
         chain = with_states(model, trials, encoded, states)
         found = state_posterior(chain, rng)

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument, named
 from .._util.values import Array, Flags
 from ..recordings.tables import as_number, load_table
 from .tasks import TASKS, Task, task_named
@@ -128,7 +128,7 @@ def read_trials(
     if whisker is not None:
         hint = "write ww.Whisker.from_identity('C2'), say"
         checks.kind("whisker", whisker, "a Whisker", "length", hint)
-    named = None if task is None else task_named(task)
+    as_task = None if task is None else task_named(task)
     if log_unit is not None:
         hint = "give natural-log units per unit of the column"
         log_unit = checks.number("log_unit", log_unit, hint)
@@ -144,21 +144,21 @@ def read_trials(
     # Where a stimulus goes by its plain name, or is mapped, all are in its unit.
     plain = {name for form in FORMS for name in form} & {*raw.columns, *mapped}
     lengths = {} if plain or scale == "log" else in_millimetres(raw)
-    stimuli, answer = _choose_columns(check, raw, mapped | lengths, named)
+    stimuli, answer = _choose_columns(check, raw, mapped | lengths, as_task)
     if scale == "linear" and log_unit is not None and stimuli != ("log_ratio",):
         raise Refusal(
-            f"log_unit={log_unit:g} was given for magnitudes",
-            remedy="write scale='log', or leave it out",
+            argument("log_unit", log_unit) + " was given for magnitudes",
+            remedy="write " + argument("scale", "log") + ", or leave it out",
         )
     if choice_labels and answer != "choice":
         raise Refusal(
-            "choice_labels say which stimulus was reported greater",
+            named("choice_labels") + " say which stimulus was reported greater",
             f"them for the answer {answer!r}",
             "leave them out and write 1 for correct and 0 for wrong, or counts",
         )
     if "n" in mapped and answer in SINGLE:
         raise Refusal(
-            "columns maps 'n', the trials of a row",
+            named("columns") + " maps 'n', the trials of a row",
             f"{answer!r}, the answer of one trial",
             "map 'n_greater' or 'n_correct' to the count of answers, or leave 'n' out",
         )
@@ -185,7 +185,7 @@ def read_trials(
     standard = numbers["standard"] if "standard" in numbers else standards_of(s1, s2, scale)
     shown = {"standard": rounded_standards(standard, scale), "stimulus_1": s1, "stimulus_2": s2}
     frame = pd.DataFrame(labels | shown | {"n": n.astype(np.int64), "count": count} | sds)
-    chosen = named or task_named(ANSWERS[answer])
+    chosen = as_task or task_named(ANSWERS[answer])
     rows = table.index.to_numpy()
     used = {*frame, *(mapped | lengths).values(), *stimuli, *ANSWERS, "count"}
     further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
@@ -204,7 +204,7 @@ def _choose_columns(
     """
     here = [str(c) for c in raw.columns]
     for ours, theirs in mapping.items():
-        checks.one_of("columns key", ours, NAMES)
+        checks.one_of(named("columns") + " key", ours, NAMES)
         if theirs in here:
             check.table[ours] = raw[theirs]
         else:
@@ -248,12 +248,14 @@ class TableCheck:
     name: str
     problems: list[str] = field(default_factory=list)
 
-    def add(self, column: str, bad: Flags, sentence: str, *values: Array) -> None:
+    def add(self, column: str, bad: Flags, sentence: str, *values: Array, remedy: str = "") -> None:
         """A problem with some cells of a column, if any; the first of the values fill in."""
         if bad.any():
             rows = rows_in_words(self.table.index.to_numpy()[bad])
             said = sentence.format(*(value[bad][0] for value in values)) if values else sentence
-            self.problems.append(f"{self.name}, column {column!r}, {rows}: {said}")
+            self.problems.append(
+                Advice.joined("", [f"{self.name}, column {column!r}, {rows}: ", said, remedy])
+            )
 
     def missing_column(
         self, column: str, here: list[str], why: str, ours: str | None = None
@@ -263,13 +265,13 @@ class TableCheck:
         meant = near[0] if near else "<its name>"
         self.problems.append(
             f"{self.name}: there is no column {column!r}, {why}; the columns are "
-            f"{', '.join(here)}, and columns={{{(ours or column)!r}: {meant!r}}} maps one."
+            f"{', '.join(here)}, and " + argument("columns", {ours or column: meant}) + " maps one."
         )
 
     def raise_problems(self) -> None:
         """Raise everything found, a line each."""
         if self.problems:
-            raise Refusal("\n".join(self.problems))
+            raise Refusal(Advice.joined("\n", self.problems))
 
     def numbers(self, column: str, least: float = -np.inf) -> Array:
         """A column as floats; text, gaps, infinities and what is below the least are problems."""
@@ -290,7 +292,7 @@ class TableCheck:
         for column, values in numbers.items():
             low = np.isfinite(values) & (values <= 0)
             said = "a magnitude must be above zero, got {:g}; correct it, or read logarithms with "
-            self.add(column, low, f"{said}scale='log'.", values)
+            self.add(column, low, said, values, remedy=argument("scale", "log") + ".")
             if whisker is None:
                 continue
             off = np.isfinite(values) & (values >= whisker.length)
@@ -337,7 +339,8 @@ class TableCheck:
             count, remedy = _single_answers(cells, answer, labels)
         text = np.isnan(count) & ~blank
         if text.any():
-            self.add(answer, text, f"{_as_text(cells[text].iloc[0])!r} is not an answer; {remedy}.")
+            said = f"{_as_text(cells[text].iloc[0])!r} is not an answer; "
+            self.add(answer, text, Advice.joined("", [said, remedy, "."]))
         return n, count
 
     def _counts(self, answer: str, blank: Flags) -> tuple[Array, Array]:
@@ -402,13 +405,14 @@ def _single_answers(
             remedy = "write 1 for correct and 0 for wrong, or map percentages as percent_correct"
             return kept, remedy
         remedy = "write 1 for second greater and 0 for first greater, or give "
-        return kept, f"{remedy}choice_labels={{label: 'first' or 'second'}}"
+        return kept, remedy + argument("choice_labels", {"L": "first", "R": "second"}) + ", say"
     codes = {"first": 0.0, "second": 1.0, "none": np.nan}
     coded = {
-        _as_text(label): codes[checks.one_of("choice_labels value", which, codes)]
+        _as_text(label): codes[checks.one_of(named("choice_labels") + " value", which, codes)]
         for label, which in labels.items()
     }
-    remedy = f"choice_labels knows {', '.join(map(repr, coded))}; 'none' is for no answer"
+    labelled = ", ".join(map(repr, coded))
+    remedy = named("choice_labels") + f" knows {labelled}; 'none' is for no answer"
     return _floats(cells.map(_as_text).map(coded)), remedy
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, call, named
 from .._util.values import Array, Fields, Index
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
@@ -376,7 +376,8 @@ def build_model(
         raise Refusal(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
             f"({checks.listed(trials.subjects)}) and one observer is fitted at a time",
-            remedy=f"choose one with trials.select(subject={trials.subjects[0]!r})",
+            remedy="choose one with "
+            + call("trials.select", argument("subject", trials.subjects[0])),
         )
     encoded = encoding_of(trials, encoding, observer, noise)
     task = trials.task
@@ -384,7 +385,9 @@ def build_model(
     chosen = by_itself if bias is None else bias
     checks.one_of("bias", chosen, BIASES)
     if chosen != "none" and not task.has_bias:
-        raise Refusal(f"{task.name} has no response bias to fit", f"bias={bias!r}", "leave it out")
+        raise Refusal(
+            f"{task.name} has no response bias to fit", argument("bias", bias), "leave it out"
+        )
     cells, columns, _ = gather(trials, tuple(effects), encoded)
     both = pairs_shown(cells, encoded, noise)
     if cells.sd_1 is not None:
@@ -398,7 +401,9 @@ def build_model(
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
     by_name = {effect.name: effect.prior for effect in bound} | dict(further or {})
     if len({effect.name for effect in bound}) < len(bound):
-        raise Refusal("effects must differ", ", ".join(e.name for e in bound), "name each once")
+        raise Refusal(
+            named("effects") + " must differ", ", ".join(e.name for e in bound), "name each once"
+        )
     names: tuple[str, ...] = ()
     group = np.zeros(cells.n.size, dtype=np.intp)
     label = task.bias_name or "bias"

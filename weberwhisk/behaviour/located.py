@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, counted
 from ..inference.observer import Observer
 from ..recordings import locate
@@ -110,7 +110,7 @@ def with_distances(
     check_trials(trials)
     if not isinstance(encoding, CueEncoding | PooledEncoding):
         raise Refusal(
-            "distances were given without a whisker",
+            named("distances") + " were given without a whisker",
             remedy="write observer=ww.Observer(whisker, cue), and nominal distances in metres",
         )
     frame = trials.frame
@@ -119,7 +119,7 @@ def with_distances(
     if "trial" not in frame or (frame["n"] > 1).any():
         raise Refusal(
             f"{trials.source}: located distances need a row a trial, numbered in a column 'trial'",
-            remedy="name it with columns={'trial': '<its name>'}",
+            remedy="name it with " + argument("columns", {"trial": "<its name>"}),
         )
     keys = [c for c in ("subject", "session", "trial") if c in frame]
     if frame.duplicated(keys).any():
@@ -211,7 +211,7 @@ def over_places(
         raise Refusal(
             f"{task.name} has no likelihood of measured distances, as its answers are scored "
             "by the pole's place",
-            remedy="give which was called farther, and task='2AFC'",
+            remedy="give which was called farther, and " + argument("task", "2AFC"),
         )
     nodes, weights = np.polynomial.hermite_e.hermegauss(9)
     means, sds, shares = [], [], []
@@ -340,7 +340,7 @@ def _refuse_lacking(header: Any, needed: list[str]) -> None:
     lacking = [c for c in needed if c not in header]
     if lacking:
         raise Refusal(
-            f"distances has no column {', '.join(map(repr, lacking))}",
+            named("distances") + f" has no column {', '.join(map(repr, lacking))}",
             remedy=f"it needs {', '.join(needed)}",
         )
 
@@ -393,7 +393,7 @@ def _table(distances: pd.DataFrame, keys: list[str], yes_no: bool, unit: float) 
         own = own[distances[status].astype(str).isin(_GOOD)]
     own = own[own["mean"].notna()]
     if not len(own):
-        raise Refusal("distances has no located touch", remedy=_HINT)
+        raise Refusal(named("distances") + " has no located touch", remedy=_HINT)
     wrong = own.loc[~own["interval"].isin((1, 2)), "interval"]
     if len(wrong):
         raise Refusal(

@@ -23,7 +23,7 @@ from scipy.special import bdtrc, ndtr
 from .._util import checks
 from .._util.campaign import one_blas_thread
 from .._util.output import plain
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument
 from .._util.sampling import ArvizData, to_arviz
 from .._util.values import (
     Array,
@@ -176,7 +176,7 @@ class PopulationFit(Shown):
                 alone = interval_text(row["alone"], row["alone_lower"], row["alone_upper"])
                 k += f"; from its own trials alone {alone}"
             lines.append(f"{row['subject']}: {counted(row['n'], 'trial')}; {k}; {row['status']}.")
-        return "\n".join([*lines, *self.notes]) + "\n"
+        return Advice.joined("\n", [*lines, *self.notes]) + "\n"
 
     def methods(self) -> str:
         """What was done, as a methods section says it: one paragraph without line breaks."""
@@ -338,7 +338,9 @@ def fit_population(
     if "subject" not in trials.frame:
         raise Refusal(
             f"{trials.source}: there is no column 'subject' that names the subjects",
-            remedy="map one with columns={'subject': '<its name>'} when the table is read",
+            remedy="map one with "
+            + argument("columns", {"subject": "<its name>"})
+            + " when the table is read",
         )
     parts = {subject: trials.select(subject=subject) for subject in trials.subjects}
     encoded = encoding_of(trials, encoding, observer, noise)

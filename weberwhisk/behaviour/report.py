@@ -6,8 +6,10 @@ from collections.abc import Hashable, Mapping
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from .._util.output import plain
+from .._util.refusals import Advice, argument, named
 from .._util.values import counted, methods_text, paragraphs
 from ..receptors import Weber
 from .criticism import advice as next_fit
@@ -100,7 +102,9 @@ def _limits(fit: Estimates) -> list[str]:
     if fit.unit:
         lines.append(
             "The unit of the logarithm is unknown, so the Weber fraction is counted per unit of "
-            "the column, in the form that holds for small steps; log_unit= would make it a ratio."
+            "the column, in the form that holds for small steps; "
+            + named("log_unit")
+            + " would make it a ratio."
         )
     sensitive = fit.status.ok or fit.status is FitStatus.PRIOR_DEPENDENT
     if sensitive and (change := fit.lapse_sensitivity["change"]).abs().max() >= 0.05:
@@ -125,7 +129,7 @@ def _next(fit: Estimates) -> str:
         FitStatus.REVERSED: "Nothing yet: first check which answer means which stimulus, and "
         "their order.",
         FitStatus.ONE_SIDED: "Answers of both kinds: first find out why the animal gave only one.",
-        FitStatus.NOT_CONVERGED: f"Nothing yet: first {_instead(fit)}.",
+        FitStatus.NOT_CONVERGED: "Nothing yet: first " + _instead(fit) + ".",
         FitStatus.UNINFORMED: "Comparisons at several distances from the standard, on both sides, "
         "some easy enough that the animal is nearly always right.",
         FitStatus.UPPER_BOUND: "Harder comparisons: closer to the standard than any so far.",
@@ -147,17 +151,16 @@ def _next(fit: Estimates) -> str:
     )
 
 
-def _instead(fit: Estimates) -> str:
+def _instead(fit: Estimates) -> Advice:
     """What to do where a posterior was given up."""
     if not too_few_kinds(fit.model):
-        return "fit by the other method, or state more beforehand (priors=)"
-    ways = [
-        "believe lapses to be few, priors={'lapse_low': scipy.stats.beta(1, 20), "
-        "'lapse_high': scipy.stats.beta(1, 20)}"
-    ]
+        return "fit by the other method, or state more beforehand (" + named("priors") + ")"
+    few = stats.beta(1, 20)
+    few_lapses = argument("priors", {"lapse_low": few, "lapse_high": few})
+    ways = ["believe lapses to be few, " + few_lapses]
     if fit.model.task.has_bias and fit.bias == "shared" and fit.standards.size > 1:
-        ways.append('fit bias="per standard"')
-    return f"{'; or '.join(ways)}; the other method would give up as well"
+        ways.append("fit " + argument("bias", "per standard"))
+    return Advice.joined("; or ", ways) + "; the other method would give up as well"
 
 
 def sentence(message: str) -> str:

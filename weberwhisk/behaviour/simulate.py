@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
@@ -130,15 +130,15 @@ def simulate_trials(
     checks.one_of("order", order, ORDERS)
     if order == "random" and chosen.bias_name != "bias":
         raise Refusal(
-            f"order={order!r} needs a task of two intervals",
+            argument("order", order) + " needs a task of two intervals",
             f"task {task!r}",
-            "write task='2AFC', or leave order out",
+            "write " + argument("task", "2AFC") + ", or leave order out",
         )
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
         checks.between(name, value, "write for example 0.02", ends="[)")
     if lapse_low + lapse_high >= 1:
         raise Refusal(
-            "lapse_low + lapse_high must be below 1",
+            named("lapse_low") + " + " + named("lapse_high") + " must be below 1",
             f"{lapse_low + lapse_high:g}",
             "write for example 0.02 for each",
         )
@@ -154,7 +154,7 @@ def simulate_trials(
     shift = checks.finite("bias", bias, "write for example 0")
     if shift.shape not in ((), (1,), base.shape):
         raise Refusal(
-            f"bias has shape {shift.shape} for standards of shape {base.shape}",
+            named("bias") + f" has shape {shift.shape} for standards of shape {base.shape}",
             remedy="give one number, or one a standard",
         )
     shift = np.broadcast_to(shift, base.shape)
@@ -203,7 +203,7 @@ def simulate_trials(
             raise Refusal(
                 "states need a task whose answers take a side",
                 f"task {task!r}",
-                "write task='2AFC', or leave states out",
+                "write " + argument("task", "2AFC") + ", or leave states out",
             )
         state, second = states.drawn(frame, rng.random((2, len(frame))))
         answers = np.where(state > 0, uniform[place] < second, answers)
@@ -218,7 +218,7 @@ def _course(
     k = np.atleast_1d(checks.positive("weber_fraction", weber_fraction, "write for example 0.1"))
     if k.shape not in ((1,), (sessions,)):
         raise Refusal(
-            f"weber_fraction has shape {k.shape} for {sessions} sessions",
+            named("weber_fraction") + f" has shape {k.shape} for {sessions} sessions",
             remedy="give one number, or one a session",
         )
     for name, value in (("drift", drift), ("bias_drift", bias_drift)):
@@ -226,8 +226,8 @@ def _course(
         if value and sessions < 2:
             raise Refusal(
                 f"{name} goes from the first session to the last",
-                f"sessions={sessions}",
-                "write sessions=10, say",
+                argument("sessions", sessions),
+                "write " + argument("sessions", 10) + ", say",
             )
     if not drift and not bias_drift:
         return k, np.zeros(1)

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
 from .importance import ImportancePosterior, Target, weighted_draws
@@ -347,16 +347,16 @@ def with_states(model: WeberModel, trials: Trials, encoding: Encoding, n_states:
         For counts, trials out of order, scored answers and overdispersed ones.
     """
     frame = trials.frame
-    needs_rows(trials, f"states={n_states}")
+    needs_rows(trials, argument("states", n_states))
     if not trials.task.has_bias:
         raise Refusal(
-            f"states={n_states} needs to know which answer was given",
+            argument("states", n_states) + " needs to know which answer was given",
             f"task {trials.task.name!r}, scored right or wrong",
-            "leave states out, or read the choices",
+            "leave " + named("states") + " out, or read the choices",
         )
     if model.dispersed is not None:
         raise Refusal(
-            f"states={n_states} makes answers scatter by itself",
+            argument("states", n_states) + " makes answers scatter by itself",
             "the effect Overdispersion",
             "leave it out",
         )
@@ -382,10 +382,11 @@ def check_states(n_states: Any) -> int:
     """Refuses a number of states that there is no model of."""
     if isinstance(n_states, bool) or n_states not in (1, *STATE_PRIORS):
         raise Refusal(
-            "states must be 1, 2 or 3",
+            named("states") + " must be 1, 2 or 3",
             checks.shown(n_states),
-            "write states=3 for an animal that keeps to one side or the other when it "
-            "is not engaged",
+            "write "
+            + argument("states", 3)
+            + " for an animal that keeps to one side or the other when it is not engaged",
         )
     return int(n_states)
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._util import checks
 from .._util.output import atomic_write, csv_text
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, Flags, Index, Line, counted
 from .tasks import Task
 
@@ -258,7 +258,7 @@ LOOKS_LIKE = {
 def notes_of_pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
     """Sentences on columns that look like subjects or sessions, where there are none of that name:
     their trials are taken as one."""
-    notes = []
+    notes: list[str] = []
     for ours, names in LOOKS_LIKE.items():
         for column in further if ours not in known else ():
             words = re.split(r"[^a-z]+", str(column).lower())
@@ -266,8 +266,9 @@ def notes_of_pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
             if set(words).intersection(names) and 1 < values <= len(further) / 2:
                 notes.append(
                     f"The column {str(column)!r} has {values} values and is not used, so that all "
-                    f"trials are taken for one {ours}; columns={{{ours!r}: {str(column)!r}}} would "
-                    "keep them apart."
+                    f"trials are taken for one {ours}; "
+                    + argument("columns", {ours: str(column)})
+                    + " would keep them apart."
                 )
     return notes
 
@@ -412,13 +413,13 @@ def needs_order(trials: Trials, what: str) -> None:
 def needs_rows(trials: Trials, what: str) -> None:
     if (trials.frame["n"] != 1).any():
         raise Refusal(
-            f"{trials.source}: {what} needs a row a trial",
+            Advice(f"{trials.source}: ", what, " needs a row a trial"),
             "counts",
             "give the trials in their order",
         )
     if not in_order(trials.frame):
         raise Refusal(
-            f"{trials.source}: {what} needs the trials in their order",
+            Advice(f"{trials.source}: ", what, " needs the trials in their order"),
             "rows whose trial falls within a session, or sessions in pieces",
             "sort by session and trial",
         )

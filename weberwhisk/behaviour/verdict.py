@@ -12,6 +12,7 @@ import pandas as pd
 from scipy import stats
 
 from .._util.campaign import one_blas_thread
+from .._util.refusals import argument
 from .._util.values import Array
 from .integrate import integrate
 from .likelihood import WeberModel
@@ -124,7 +125,8 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
             f"and the parameters are {_dimensions(model)}: the answers alone do not identify "
             "them, and a bound on one holds given what is believed beforehand of the others. State "
             "lapses that are known, for example "
-            "priors={'lapse_low': 0.02, 'lapse_high': 0.02}, or add easier and harder pairs."
+            + argument("priors", {"lapse_low": 0.02, "lapse_high": 0.02})
+            + ", or add easier and harder pairs."
         )
     d = _drive(model)
     none, some = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))

@@ -14,9 +14,9 @@ printing of results. The package's rooms are imported when they are used, so tha
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -31,14 +31,14 @@ import weberwhisk as ww
 from .._util import checks
 from .._util.output import Run, to_json
 from .._util.output import shown as progress_shown
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Call, Named, Refusal, Typed, rendered
 from .._util.values import Array, pd
 
 __all__ = [
-    "CUES", "NO_SHAPE", "SCENES", "Number", "Shape", "Text", "Texts", "a_number", "a_seed",
-    "as_asked", "command", "describe", "enough_draws", "finish", "numbers", "one_angle", "option",
-    "pairs", "progress", "show", "the_cue", "the_scene", "the_whisker",
-    "weber_fractions", "whisker_line", "with_options",
+    "CUES", "NO_SHAPE", "SCENES", "SPELLED", "Number", "Shape", "Text", "Texts", "a_number",
+    "a_seed", "as_asked", "as_options", "command", "describe", "enough_draws", "finish", "numbers",
+    "one_angle", "option", "pairs", "progress", "show", "the_cue", "the_scene", "the_whisker",
+    "weber_fractions", "whisker_line",
 ]  # fmt: skip
 
 
@@ -158,45 +158,82 @@ _SHARED: dict[str, Any] = {
     ],
     "as_json": Annotated[bool, "Print only the result, as JSON.", _of("Results")],
 }
-#: Parameters of the library whose options have other names.
-_CALLED = {"as_json": "json", "columns": "column", "units": "unit"}
-#: Remedies in the library's messages (patterns), and the options that replace them.
-_REMEDIES = (
-    (r"columns=\{'(\w+)': '([^']+)'\}", r"--column \1='\2'"),
-    (r'columns=\{(("\w+": "[^"]+"(, )?)+)\}', lambda found: " ".join(
-        f"--column {n}='{column}'" for n, column in re.findall(r'"(\w+)": "([^"]+)"', found[1])
-    )),
-    (r'columns=\{"(\w+)": …\}', r"--column \1='<its name>'"),
-    (r"columns key", "--column"),
-    (r"; 'none' is for no answer", "; write --label LABEL=none for no answer"),
-    (r"choice_labels=\{label: 'first' or 'second'\}",
-     "--label LABEL=first and --label LABEL=second"),
-    (r"choice_labels value", "the stimulus of --label"),
-    (r"choice_labels", "--label"),
-    (r"\bidentity=(\d+)", r"--label \1"),
-    (r"read_tracking\(shortest_px=…\)", "--shortest-px"),
-    (r"ww\.tracked_signals\(ww\.read_tracking\(file, (.*?)\), whisker\),", r"\1"),
-    (r"pixels_per_mm=20, frame_rate=500", "--pixels-per-mm 20 --frame-rate 500"),
-    (r"priors=\{'lapse_low': scipy\.stats\.beta\(([\d.]+), ([\d.]+)\)[^}]*\}",
-     r"--lapse-prior \1,\2"),
-    (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
-    (r"\(priors=\)", "(--lapse-prior)"),
-    (r"curved=True", "--curvature-per-m own"),
-    (r"\bcurvature=", "--curvature-per-m "),
-    (r"together=False", "--apart"),
-    (r"log_unit= ", "--log-unit "),
-    (r",? with from weberwhisk\.behaviour\.effects import \w+(, [A-Z]\w+)*", ""),
-    (r"fit_weber\(trials, ((?:[^()]|\([^()]*\))*)\)", lambda found: found[1].replace(", ", " ")),
-    (r"effects=\[([^]]*)\]", lambda found: " ".join(
-        "--effect " + quote(":".join([re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower(),
-                                      *re.findall(r"'(.*?)'", given)]))
-        for name, given in re.findall(r"(\w+)\((.*?)\)", found[1])
-    )),
-    (r"\b(bias|noise|states)=", r"--\1 "),
-    (r"trials\.select\(session=(\w+)\)", r"--session \1"),
-)  # fmt: skip
-#: Parameters named in the library's notes and reports that are options of the same name.
-_NAMES = ("bias", "face", "frame_rate", "log_unit", "pixels_per_mm", "scale", "shortest_px")
+
+
+def _plain(value: Any) -> str:
+    """The value of an option; none where only the user knows it, or where it is a flag."""
+    return "" if value is ... or value is True else quote(str(value))
+
+
+def _pairs(value: Mapping[str, Any]) -> list[str]:
+    return [f"{name}={quote('<its name>' if v is ... else str(v))}" for name, v in value.items()]
+
+
+def _lapse_prior(priors: Mapping[str, Any]) -> str | None:
+    """The prior of lapses; where they are given, one that is as sure to be near."""
+    prior = priors.get("lapse_low")
+    if isinstance(prior, float):
+        return f"1,{1 / prior:g}"
+    return None if prior is None else ",".join(f"{number:g}" for number in prior.args)
+
+
+class Spelled(NamedTuple):
+    """How the command line spells a parameter of the package.
+
+    `option` is the parameter of the command; `values` makes the value of the package one of the
+    command line, or several, or None where it cannot.
+    """
+
+    option: str
+    values: Callable[[Any], str | list[str] | None] = _plain
+
+
+#: Parameters of the package whose options have another name, or other values.
+SPELLED = {
+    "columns": Spelled("column", _pairs),
+    "units": Spelled("unit", _pairs),
+    "choice_labels": Spelled("label", _pairs),
+    "effects": Spelled("effect", lambda effects: [quote(effect.by_name) for effect in effects]),
+    "priors": Spelled("lapse_prior", _lapse_prior),
+    "curvature": Spelled("curvature_per_m"),
+    "curved": Spelled("curvature_per_m", lambda curved: "own" if curved else "0"),
+    "together": Spelled("apart", lambda together: None if together else ""),
+    "tracked_signals.identity": Spelled("label"),
+    "locate.noise": Spelled("weber_fraction"),
+}
+#: The parameters of the command that runs; None outside of any.
+_here: ContextVar[frozenset[str] | None] = ContextVar("parameters of the command", default=None)
+
+
+def as_options(text: str) -> str:
+    """A text of the package, with its arguments as options of the command that runs."""
+    return rendered(text, _as_typed)
+
+
+def _as_typed(piece: Typed) -> str:
+    """What can be typed as options; what is none of the command that runs stays Python."""
+    found = _options(piece)
+    return str(piece) if found is None else " ".join(found)
+
+
+def _options(piece: Typed) -> list[str] | None:
+    """The options of a piece of advice, None where it has none."""
+    if isinstance(piece, Call):
+        inner = [p for text in piece.arguments if isinstance(text, Advice) for p in text.pieces]
+        found = [_options(p) for p in inner if not isinstance(p, str)]
+        return [o for f in found if f for o in f] if found and None not in found else None
+    of = getattr(piece, "of", "")
+    spelled = SPELLED.get(f"{of}.{piece.name}" if of else piece.name, Spelled(piece.name))
+    here = _here.get()
+    if here is not None and spelled.option not in here:
+        return None
+    if isinstance(piece, Named):
+        return [option(spelled.option)]
+    values = spelled.values(piece.value)
+    if values is None:
+        return None
+    each = [values] if isinstance(values, str) else values
+    return [f"{option(spelled.option)} {value}".rstrip() for value in each]
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
@@ -232,12 +269,13 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(**options: Any) -> None:
         if shaped:
             options["shape"] = Shape(*(options.pop(name) for name in _SHAPE))
+        before = _here.set(frozenset(kinds))
         try:
             function(**options)
         except Refusal as error:
-            names = (*kinds, *_CALLED)
-            words = re.sub(rf"^({'|'.join(names)})\b(?!=)", _as_option, str(error))
-            raise Refusal(with_options(words, names)) from error
+            raise error.rendered(_as_typed) from error
+        finally:
+            _here.reset(before)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -428,7 +466,7 @@ def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
         print(to_json(answer))
         return
     for line in lines:
-        print(with_options(line))
+        print(as_options(line))
     if run.out_dir is not None:
         print(f"Written to {run.out_dir}: {', '.join(run.files)}.")
 
@@ -440,21 +478,6 @@ def show(
     answer = {"whisker": describe(whisker), "rows": table.to_dict("records")}
     words = table.to_string(index=False, float_format="{:.6g}".format, na_rep="-")
     finish(run, as_json, answer, whisker_line(whisker), words, *notes)
-
-
-def with_options(sentence: str, names: Iterable[str] = _NAMES) -> str:
-    """A sentence of the library with its parameters and remedies replaced by options."""
-    for python, typed in _REMEDIES:
-        sentence = re.sub(python, typed, sentence)
-    # Not a key of --column, nor an argument in a call such as lognorm(1, scale=0.1).
-    named = rf"""(?<!, )(?<!\()(?<!--column )\b({"|".join(names)})=("[^"]*"|'[^']*'|[\w.-]+)"""
-    return re.sub(named, _as_option, sentence)
-
-
-def _as_option(found: re.Match[str]) -> str:
-    """A parameter as its option, with its value, if any; a single word needs no quotes."""
-    name, *values = found.groups()
-    return " ".join([option(name), *(v if " " in v else v.strip("\"'") for v in values)])
 
 
 def whisker_line(whisker: ww.Whisker) -> str:
@@ -479,4 +502,4 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
 
 def option(parameter: str) -> str:
     """The option of a parameter."""
-    return f"--{_CALLED.get(parameter, parameter).replace('_', '-')}"
+    return f"--{'json' if parameter == 'as_json' else parameter.replace('_', '-')}"

@@ -257,7 +257,7 @@ def fit(
         summary = result.summary().reset_index()
         run.table("fit", summary)
         answer = result.to_dict()
-        report = opt.with_options(result.report())
+        report = opt.as_options(result.report())
         if law:
             test = ww.behaviour.weber_law_test(result)
             run.table("law", test.by_standard)

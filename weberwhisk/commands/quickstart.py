@@ -13,7 +13,7 @@ import weberwhisk as ww
 from .._util.checks import positive
 from .._util.output import Run, atomic_write, to_json
 from .._util.values import pd
-from . import command, describe, enough_draws, finish, progress, whisker_line, with_options
+from . import as_options, command, describe, enough_draws, finish, progress, whisker_line
 from .whiskers import curve_in_steps
 
 __all__ = ["jnd_surface", "moment_dominated", "quickstart", "rat_choices"]
@@ -136,7 +136,7 @@ def rat_choices(
     run.table("rat_choices", fit.residuals())
     run.table("rat_fit", fit.summary().reset_index())
     run.figure("rat_psychometric", ww.plots.psychometrics(fit))
-    return {"sessions": sessions, "report": with_options(fit.report()), **fit.to_dict()}
+    return {"sessions": sessions, "report": as_options(fit.report()), **fit.to_dict()}
 
 
 # -- the text ------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from .._util.checks import numbers, refuse_hinge, shown
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Array, Codes, Value
 from ..mechanics import Profile, rest_angle
 from ..mechanics.contact import Outcome
@@ -168,7 +168,7 @@ def straight(
         raise Refusal(
             "This cue is for straight whiskers",
             f"curvature {largest:g} 1/m",
-            f"write curvature=0, or take {instead}",
+            "write " + argument("curvature", 0) + f", or take {instead}",
         )
 
 

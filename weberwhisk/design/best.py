@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, rel_entr
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, counted, density_quantiles
 from ..behaviour.priors import SPREAD
 from ..behaviour.psychometric import difference_sd
@@ -226,12 +226,15 @@ def refuse_impossible(
         if share < goal.share:
             fewest = fewest_animals(hypotheses[0], expected, goal)
             reached = float(np.quantile(widths, goal.share))
-            more = "" if fewest is None else f"animals={fewest} or more, or "
+            more = "" if fewest is None else argument("animals", fewest) + " or more, or "
             raise Refusal(
                 f"{start}: were the k of each of {counted(largest.animals, 'animal')} known "
                 f"exactly, with ln k spread by {expected.spread:g} between animals, the "
                 f"interval would be narrow enough in {100 * share:.2g} % of experiments",
-                remedy=f"write {more}half_width={np.ceil(100 * reached) / 100:.2g}",
+                remedy=Advice.joined(
+                    "",
+                    ["write ", more, argument("half_width", float(np.ceil(100 * reached) / 100))],
+                ),
             )
         return
     if vary != "trials" or (goal.bayes_factor is not None and goal.share < 0.5):

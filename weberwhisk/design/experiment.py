@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import campaign, checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Array
 from ..behaviour.encodings import CueEncoding, Encoding
 from ..behaviour.simulate import simulate_responses
@@ -152,7 +152,7 @@ def plan_experiment(
     if scheme is not None and animals not in (1, scheme.animals):
         raise Refusal(
             "A scheme has its animals",
-            f"{scheme.animals} and animals={animals}",
+            f"{scheme.animals} and " + argument("animals", animals),
             f"write scheme.with_animals({animals})",
         )
     asked = question or ("whiskers" if aim.half_width is None else "precision")
@@ -179,7 +179,8 @@ def plan_experiment(
     if best:
         if scheme is not None or standards is not None:
             raise Refusal(
-                "best=True chooses the standards", remedy="leave scheme and standards out"
+                argument("best", True) + " chooses the standards",
+                remedy="leave scheme and standards out",
             )
         scheme = best_scheme(given, **own, expected=likely, animals=animals)
         scheme = scheme if trials is None else scheme.with_trials(trials)
@@ -228,10 +229,16 @@ def _what_to_find(find: str | None, decided: bool) -> str:
     checks.one_of("find", find, ("trials", "animals", "nothing"))
     if find == "animals" and not decided:
         raise Refusal(
-            "The number of animals is found for so many trials each", "none", "write trials=20, say"
+            "The number of animals is found for so many trials each",
+            "none",
+            "write " + argument("trials", 20) + ", say",
         )
     if find == "nothing" and not decided:
-        raise Refusal("Trials are given or found", "neither", "write trials=20, or leave find")
+        raise Refusal(
+            "Trials are given or found",
+            "neither",
+            "write " + argument("trials", 20) + ", or leave find",
+        )
     return find
 
 

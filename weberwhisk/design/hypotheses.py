@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     ConstantNoise,
@@ -79,8 +79,8 @@ class Hypothesis(Fields):
         if self.bias != "none" and not task_named(self.task).has_bias:
             raise Refusal(
                 f"{self.task} has no response bias to fit",
-                f"bias={self.bias!r}",
-                'write bias="none"',
+                argument("bias", self.bias),
+                "write " + argument("bias", "none"),
             )
         object.__setattr__(self, "priors", of_task(self.priors, self.asked))
 

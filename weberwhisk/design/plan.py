@@ -18,7 +18,7 @@ from scipy.stats import binom
 
 from .._util import checks
 from .._util.output import csv_text, versions_in_words
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Array, Shown, counted, interval_text, paragraphs
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, PopulationStatus, fit_population
@@ -228,7 +228,7 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> An
         raise Refusal(
             f"{trials.source}: animals are fitted together where there are two or more",
             len(trials.subjects),
-            "write together=False",
+            "write " + argument("together", False),
         )
     fits = {h.name: fit_population(trials, check=check, **options_of(h)) for h in hypotheses}
     names = [status.name for status in LEFT_OUT]
@@ -330,7 +330,7 @@ class Plan(Shown):
         if self.together and any(h.priors.is_fixed("weber_fraction") for h in self.hypotheses):
             raise Refusal(
                 "A Weber fraction that is given is not learnt from several animals",
-                remedy="write together=False",
+                remedy="write " + argument("together", False),
             )
         check_metres(self.hypotheses)
         self.constraints.check(self.scheme, first.encoding)

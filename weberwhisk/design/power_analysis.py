@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.special import ndtri
 
 from .._util import campaign, checks, output
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Shown, interval_text, paragraphs
 from ..behaviour.states import States
 from .best import refuse_impossible
@@ -180,7 +180,7 @@ def power(
             raise Refusal(
                 "animals with states are fitted one by one",
                 f"{max(sizes[1])} animals fitted together",
-                "write together=False",
+                "write " + argument("together", False),
             )
     apart = None if together else aim
     work = partial(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import positive
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, named
 from .._util.values import Array
 from ..cues.protocol import Cue
 from ..mechanics.contact import Outcome
@@ -60,7 +60,7 @@ def default_noise(
     if weber_fraction is not None:
         if np.size(weber_fraction) not in (1, size):
             raise Refusal(
-                f"weber_fraction must be one number, or one for each of {size} signals "
+                named("weber_fraction") + f" must be one number, or one for each of {size} signals "
                 f"({', '.join(cue.signal_names)})",
                 np.size(weber_fraction),
                 "write 0.1, say",

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util.checks import kind, one_of, positive_number
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .._util.values import Array, Flags, Index, member
 from ..receptors import Seed
 from . import tree
@@ -222,7 +222,7 @@ def quadrature(
         raise Refusal(
             "Quadrature sums over four unknowns at most",
             f"{len(observer.unknowns)} ({', '.join(observer.unknowns)})",
-            'write method="emcee"',
+            "write " + argument("method", "emcee"),
         )
     wanted = tolerance or TOLERANCE
     sums = ManySums(observer, reading, wanted, progress)

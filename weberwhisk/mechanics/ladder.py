@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.checks import angle, distance, finite, one_of, positive
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Flags, member
 from ..whisker import Whisker
 from . import closed_form, elastica
@@ -377,6 +377,10 @@ def _model_of(
             raise Refusal(
                 f"{what} is not modelled by the {model} model",
                 size,
-                f'write model="{lowest.name.lower()}" or leave model out',
+                "write "
+                + argument("model", lowest.name.lower())
+                + " or leave "
+                + named("model")
+                + " out",
             )
     return model

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.checks import finite, positive
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, Codes, Line, member
 from ..whisker import Whisker, rest_shape, usual_curvature, usual_turn
 from .contact import Model, Outcome, friction, signals_of
@@ -277,7 +277,8 @@ def why(observer: Any) -> str:
 
 def note(observer: Any) -> str:
     """Warnings: shape at rest left out, no information about the roll, imprecise table."""
-    return "; ".join(filter(None, (_shape_at_rest(observer), _roll(observer), _table(observer))))
+    given = (_shape_at_rest(observer), _roll(observer), _table(observer))
+    return Advice.joined("; ", filter(None, given))
 
 
 def _roll(observer: Any) -> str:
@@ -314,12 +315,12 @@ def _shape_at_rest(observer: Any) -> str:
         bow = usual_turn() / whisker.length
         return (
             f"Taken as straight; the usual curvature of rats' whiskers, {bow:.2g} /m, moves r by "
-            f"up to {off:.2g} JND: write curvature={bow:.2g}, or 0"
+            f"up to {off:.2g} JND: write " + argument("curvature", float(f"{bow:.2g}")) + ", or 0"
         )
     if not np.any(whisker.curvature):
         return (
             f"{named[1]} is taken as straight; its shape at rest moves r by up to {off:.2g} JND: "
-            "write curved=True"
+            "write " + argument("curved", True)
         )
     mirrored = ".scaled(1, -1)" if _side_of_law(whisker) < 0 else ""
     law = f"ww.mechanics.Spiral(*ww.mechanics.rest_shape({named[1]!r}, {named[0]!r})){mirrored}"

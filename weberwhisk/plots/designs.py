@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .._util import checks
 from .._util.output import Run, atomic_write, csv_text
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .style import (
     COLOURS,
     DOUBLE,
@@ -71,7 +71,9 @@ def power_curve(found: Power | Plan, ax: Axes | None = None) -> Axes:
     scheme = getattr(found, "scheme", None)
     table: Any = getattr(found, "table" if scheme is None else "power")
     if table is None:
-        raise Refusal("The plan's power was not looked at", remedy="plan it with runs=512")
+        raise Refusal(
+            "The plan's power was not looked at", remedy="plan it with " + argument("runs", 512)
+        )
     ax = axes_or_new(ax)
     by = "animals" if table["trials"].nunique() == 1 < table["animals"].nunique() else "trials"
     others = [name for name in ("truth", "trials", "animals")

@@ -15,7 +15,7 @@ from scipy.stats import f as f_distribution
 
 from .. import domain
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, Index, Shown, weighted_quantiles
 from ..cues import Cue
 from ..cues.protocol import Encoded
@@ -277,7 +277,8 @@ def _taps(
     if missing := [name for name in ("radial_distance", "moment_rate") if name not in si]:
         raise Refusal(
             "A calibration needs the columns radial_distance_mm and moment_rate",
-            remedy=f'map {" and ".join(missing)} with columns={{"{missing[0]}": …}}',
+            remedy=f"map {' and '.join(missing)} with "
+            + argument("columns", dict.fromkeys(missing, ...)),
         )
     r = si["radial_distance"]
     y = si["moment_rate"] / si.get("angular_velocity", 1.0)
@@ -288,17 +289,17 @@ def _taps(
     if off.any():
         column, factor, said = found["radial_distance"]
         unit = f"{column!r} was read in {'metres' if factor == 1 else f'units of {factor:g} m'}"
-        unit += "; correct it" if said else ': write units={"radial_distance": "mm"}, say'
+        in_mm = ": write " + argument("units", {"radial_distance": "mm"}) + ", say"
         raise Refusal(
             f"A distance of {1e3 * r[off][0]:g} mm is not on a whisker of "
             f"{1e3 * whisker.length:g} mm",
-            remedy=unit,
+            remedy=Advice.joined("", [unit, "; correct it" if said else in_mm]),
         )
     if len(r) and np.median(r) < domain.CONTACTS[0] * whisker.length:
         raise Refusal(
             f"Half of the taps are nearer than {1e3 * np.median(r):.2g} mm, on a whisker of "
-            f"{1e3 * whisker.length:g} mm: did you pass metres? radial_distance_mm is in "
-            "millimetres."
+            f"{1e3 * whisker.length:g} mm: did you pass metres?",
+            remedy="radial_distance_mm is in millimetres",
         )
     places = len(_first_taps(r, whisker))
     if len(r) < 5 or places < 4:
@@ -318,8 +319,11 @@ def _taps(
             f"{column!r} is {times:.2g} times what this whisker gives at 1 rad/s: did you pass "
             f"{unit}?",
             remedy=(
-                f'write units={{"moment_rate": "{unit}"}}, give angular_velocity in rad/s, or '
-                "write counts=True (--counts) for a sensor's own units"
+                "write "
+                + argument("units", {"moment_rate": unit})
+                + ", give angular_velocity in rad/s, or write "
+                + argument("counts", True)
+                + " for a sensor's own units"
             ),
         )
     return r, y, "angular_velocity" in si

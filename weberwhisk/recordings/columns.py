@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Flags
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
@@ -87,15 +87,17 @@ def find_columns(
     A quantity is in the column that `columns` maps to it, or in the column of its own name, with or
     without a unit as suffix.
     """
-    for argument, name in ((columns, "columns"), (units, "units")):
-        if argument is not None and not isinstance(argument, Mapping):
+    for name, mapping in (("columns", columns), ("units", units)):
+        if mapping is not None and not isinstance(mapping, Mapping):
             raise Refusal(
-                f"{name} must be a mapping",
-                checks.shown(argument),
-                f'write {name}={{"moment": "{"M" if name == "columns" else "uN m"}"}}, say',
+                named(name) + " must be a mapping",
+                checks.shown(mapping),
+                "write "
+                + argument(name, {"moment": "M" if name == "columns" else "uN m"})
+                + ", say",
             )
-        for key in argument or {}:
-            checks.one_of(f"{name} key", key, NAMES)
+        for key in mapping or {}:
+            checks.one_of(named(name) + " key", key, NAMES)
     found: dict[str, tuple[str, float, bool]] = {}
     for quantity, column in (columns or {}).items():
         if column not in header and isinstance(column, str):
@@ -120,7 +122,7 @@ def find_columns(
             if quantity in found:
                 raise Refusal(
                     f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}",
-                    remedy=f'say which with columns={{"{quantity}": "{column}"}}',
+                    remedy="say which with " + argument("columns", {quantity: column}),
                 )
             found[quantity] = _of(quantity, column, text, units)
             break
@@ -132,7 +134,7 @@ def find_columns(
         if quantity not in found:
             raise Refusal(
                 f"A unit was given for {quantity}, which the table has no column of",
-                remedy=f'map one with columns={{"{quantity}": …}}',
+                remedy="map one with " + argument("columns", {quantity: ...}),
             )
     return found
 
@@ -361,12 +363,11 @@ def sign_note(
     if cost[best] < cost[0] - 6:
         turned = [name for name, sign in zip(free, signs[best], strict=True) if sign < 0]
         said = " and ".join(name.replace("_", " ") for name in turned)
-        reverse = reversing(turned, found, columns)
-        write = ", ".join(f'"{name}": "{column}"' for name, column in reverse.items())
+        mapped = argument("columns", reversing(turned, found, columns))
         notes.append(
             f"The rows fit this whisker better with the {said} of the opposite sign, and are taken "
             "as they are: the axial force above zero in compression, angle and transverse force of "
-            f"the moment's sign; if the table has it otherwise, write columns={{{write}}}."
+            "the moment's sign; if the table has it otherwise, write " + mapped + "."
         )
 
 
@@ -393,7 +394,7 @@ def signals_of(
                 f"No distance follows from the columns {checks.listed(header, 8)}, of which "
                 f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, "
                 "or deflection_angle and one of them, or moment_rate and angular_velocity",
-                remedy='map them with columns={"moment": "M"}',
+                remedy="map them with " + argument("columns", {"moment": "M"}),
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
         if known is None:
@@ -413,7 +414,7 @@ def signals_of(
             raise Refusal(f"A table has no signals of {cue!r}", remedy="leave cue out")
         raise Refusal(
             f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of",
-            remedy=f'map one with columns={{"{missing[0]}": …}}',
+            remedy="map one with " + argument("columns", {missing[0]: ...}),
         )
     y = np.stack([si[name] for name in wanted], axis=-1)
     scale = np.ones(len(y))
@@ -462,7 +463,7 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
             f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker "
             f"gives, {times:.2g} times the usual {name.replace('_', ' ')}: did you pass "
             f"{unit}?",
-            remedy=f'write units={{"{name}": "{unit}"}}, say',
+            remedy="write " + argument("units", {name: unit}) + ", say",
         )
     measured = [i for i, n in enumerate(observer.cue.signal_names) if n == "measured_angle"]
     angle = np.abs(y[:, measured])
@@ -470,7 +471,7 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
     if angle.size and np.median(angle) > np.pi:
         raise Refusal(
             "The deflection angle is above half a turn in most rows: did you pass degrees?",
-            remedy='write units={"deflection_angle": "deg"}',
+            remedy="write " + argument("units", {"deflection_angle": "deg"}),
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, call
 from .._util.values import Array, counted
 from .tables import load_table
 
@@ -267,18 +267,21 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
 
 def refuse_tracked(source: Any) -> None:
     """Refuse a tracker's file or table of points, from which signals must be computed first."""
+    scales = argument("pixels_per_mm", 20), argument("frame_rate", 500)
     first = (
-        "forces follow from the shape: write ww.tracked_signals(ww.read_tracking(file, "
-        "pixels_per_mm=20, frame_rate=500), whisker), with your video's numbers."
+        "forces follow from the shape: write "
+        + call("ww.tracked_signals", call("ww.read_tracking", "file", *scales), "whisker")
+        + " with your video's numbers"
     )
     if isinstance(source, str | Path):
         if Path(source).suffix.lower() in TRACKERS:
-            raise Refusal(f"{Path(source).name} is of a tracker: {first}")
+            raise Refusal(f"{Path(source).name} is of a tracker", remedy=first)
     elif isinstance(source, pd.DataFrame):
         if {"frame", "follicle_x", "tip_x"} <= {*source} and "x" not in source:
             raise Refusal(
                 "The table holds tracked whiskers, but points are what is missing: read Whisk's "
-                f".whiskers, say; {first}"
+                ".whiskers, say",
+                remedy=first,
             )
         if {"frame", "x", "y"} <= {*source}:
-            raise Refusal(f"The table holds points of tracked whiskers; {first}")
+            raise Refusal("The table holds points of tracked whiskers", remedy=first)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, call, named
 from .._util.values import Array, Index, counted, methods_text
 from ..cues import Cue, ForceMap
 from ..cues.protocol import is_curved
@@ -278,7 +278,7 @@ def _touches_of(raw: pd.DataFrame, touch: Any, notes: list[str]) -> NDArray[np.o
         values = checks.several("touch", touch, "write the name of a column")
         if len(values) != len(raw):
             raise Refusal(
-                f"touch must have a value for each of {len(raw)} rows",
+                named("touch") + f" must have a value for each of {len(raw)} rows",
                 len(values),
                 "leave those in no touch None",
             )
@@ -317,14 +317,20 @@ def _whisker_in_words(whisker: Any, bow: float | None) -> str:
         if not (is_wire(plain) or plain.hinge_stiffness):
             return f"{out}, taken as straight."
         what = "a wire and so " if is_wire(plain) else ""
-        return f"{out}, {what}taken as straight; if it is bent, write curvature=5, say."
+        bent = "write " + argument("curvature", 5) + ", say."
+        return f"{out}, {what}taken as straight; if it is bent, " + bent
     if bow is None:
         return f"{out}, {'curved' if is_curved(whisker) else 'straight'}."
-    own = "from_identity(..., curved=True)" if plain.identity else f"curvature={bow:.2g}"
+    own = argument("curvature", float(f"{bow:.2g}"))
+    if plain.identity:
+        own = call("ww.Whisker.from_identity", "...", argument("curved", True))
     return (
         f"{out}, of unknown shape at rest: its curvature has a normal prior of mean 0 and sd "
-        f"{bow:.2g} /m, as is usual of its kind, to either side: write curvature=0 of a straight "
-        f"whisker, {own} of a curved one."
+        f"{bow:.2g} /m, as is usual of its kind, to either side: write "
+        + argument("curvature", 0)
+        + " of a straight whisker, "
+        + own
+        + " of a curved one."
     )
 
 
@@ -344,7 +350,7 @@ def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Le
     )  # fmt: skip
     return (
         f"The noise of the table's numbers was not given and {how}: k = {said}; "
-        "where it is known, write noise=0.1."
+        "where it is known, write " + argument("noise", 0.1, of="locate") + "."
     )
 
 

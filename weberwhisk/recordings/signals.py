@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal, argument, call
 from .._util.values import Array
 from ..mechanics import Profile
 from ..whisker import Whisker
@@ -215,8 +215,10 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
         raise Refusal(
             f"Several whiskers were tracked ({by} {checks.listed(map(str, known), 6)})",
             remedy=(
-                f"say which with identity={known[0]!r}, or leave out fur with "
-                "read_tracking(shortest_px=…)"
+                "say which with "
+                + argument("identity", known[0], of="tracked_signals")
+                + ", or leave out fur with "
+                + call("read_tracking", argument("shortest_px", ...))
             ),
         )
     if identity is not None:
@@ -232,7 +234,9 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
         raise Refusal(
             f"Frame {twice.iloc[0]} has two rows of one {by}",
             remedy=(
-                "leave out fur with read_tracking(shortest_px=…, follicles=…), or rows that repeat"
+                "leave out fur with "
+                + call("read_tracking", argument("shortest_px", ...), "follicles=…")
+                + ", or rows that repeat"
             ),
         )
     enough = tracking["x"].map(len) >= 6
@@ -246,9 +250,9 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
     out: dict[str, Any] = {n: tracking.attrs.get(n) if v is None else v for n, v in given.items()}
     missing = [name for name, value in out.items() if value is None]
     if missing:
-        say = {"pixels_per_mm": "pixels_per_mm=20", "frame_rate": "frame_rate=500"}
-        written = ", ".join(say[name] for name in missing)
-        raise Refusal(f"No file tells {' or '.join(missing)}", remedy=f"write {written}, say")
+        usual = {"pixels_per_mm": 20, "frame_rate": 500}
+        written = Advice.joined(", ", [argument(name, usual[name]) for name in missing])
+        raise Refusal(f"No file tells {' or '.join(missing)}", remedy="write " + written + ", say")
     for name, value in out.items():
         checks.positive_number(name, value, "give a number above zero")
     return float(out["pixels_per_mm"]), float(out["frame_rate"])

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, named
 from .._util.values import Flags
 from .files import angle_and_curvature, hdf5, measurements, points, poses, segments, whiskers
 
@@ -127,7 +127,7 @@ def read_tracking(
         table = _facing(table, face)
         notes.append(
             f"The face was taken to be at the {face}, where whiskers' ends move "
-            f"{'least' if clear else 'hardly less'}; give face= if it is not."
+            f"{'least' if clear else 'hardly less'}; give " + named("face") + " if it is not."
         )
     elif "x" in table and table["frame"].nunique() > 20:
         own = table.groupby(identified_by(table))
@@ -138,7 +138,7 @@ def read_tracking(
         if last < 0.5 * first:
             notes.append(
                 "Whiskers' last points move less than their first, from which distances are; if "
-                "they run from the tip, write face=."
+                "they run from the tip, write " + named("face") + "."
             )
     if "x" in table and "z" not in table:
         unknown = table["angle_deg"].isna() & table["curvature_per_px"].isna()
