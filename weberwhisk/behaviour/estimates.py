@@ -244,9 +244,10 @@ class Estimates(Shown):
         True
         """
         if not isinstance(self.model.task, SignedChoice):
-            raise ValueError(
-                f"the point of subjective equality is of a choice between two stimuli, got the "
-                f"task {self.model.task.name}; use threshold(), whose proportion you choose."
+            raise Refusal(
+                "the point of subjective equality is of a choice between two stimuli",
+                f"the task {self.model.task.name}",
+                "use threshold(), whose proportion you choose",
             )
         return self.threshold(standard, 0.5, mass=mass, with_bias=True)
 

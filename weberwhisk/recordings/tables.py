@@ -222,7 +222,7 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
         with NWBHDF5IO(str(path), "r", load_namespaces=True) as file:
             trials = file.read().trials
             if trials is None:
-                raise ValueError("the NWB file has no trials")
+                raise Refusal("the NWB file has no trials")
             table = trials.to_dataframe().reset_index(drop=True)
     return table.drop(columns=[c for c in table if table[c].map(pd.api.types.is_list_like).any()])
 
