@@ -87,13 +87,13 @@ def of_contact(radial_distance: ArrayLike, reach: ArrayLike) -> tuple[str, ...]:
 
 
 def of_weber_fractions(
-    weber_fractions: ArrayLike, known: tuple[float, float] = WEBER_FRACTIONS
+    weber_fractions: ArrayLike, covered: tuple[float, float] = WEBER_FRACTIONS
 ) -> tuple[str, ...]:
     """What of Weber fractions lies outside, a sentence each; 0 stands for none."""
     k = np.asarray(weber_fractions, dtype=float)
     hint = ": did you pass per cent?" if np.max(k, initial=0.0) > 1 else ""
-    where = f"where {known[0]:g} to {known[1]:g} are covered{hint}"
-    return tuple(f"a Weber fraction of {v:g}, {where}" for v in _beyond(k[k > 0], known))
+    where = f"where {covered[0]:g} to {covered[1]:g} are covered{hint}"
+    return tuple(f"a Weber fraction of {v:g}, {where}" for v in _beyond(k[k > 0], covered))
 
 
 def of_observer(observer: Any) -> tuple[str, ...]:
@@ -104,8 +104,8 @@ def of_observer(observer: Any) -> tuple[str, ...]:
 
 def sentence(outside: Iterable[str]) -> str:
     """All that lies outside, in one sentence; empty if nothing does."""
-    found = list(outside)
-    return f"Outside the domain: {'; '.join(found)}." if found else ""
+    sentences = list(outside)
+    return f"Outside the domain: {'; '.join(sentences)}." if sentences else ""
 
 
 def _beyond(values: Any, ends: tuple[float, float]) -> list[float]:

@@ -150,15 +150,15 @@ class Whisker(Value):
             )
         domain.refuse_length(checked["length"], base)
         domain.hint_at_curvature(checked["curvature"], checked["length"])
-        held = {n: array if array.ndim else float(array) for n, array in checked.items()}
+        values = {n: array if array.ndim else float(array) for n, array in checked.items()}
         if isinstance(curvature, Assumed):
-            held["curvature"] = curvature
+            values["curvature"] = curvature
         if _identity is not None:  # of a whisker that this one is made from
-            shape = [held[name] for name in ("length", "base_radius", "tip_radius")]
+            shape = [values[name] for name in ("length", "base_radius", "tip_radius")]
             same = all(map(np.array_equal, shape, _identity.shape))
-            if not (same and np.all(np.isin(np.abs(held["curvature"]), (0.0, _identity.bow)))):
+            if not (same and np.all(np.isin(np.abs(values["curvature"]), (0.0, _identity.bow)))):
                 _identity = None
-        self._set(**held, hinge_stiffness=hinge_stiffness, _identity=_identity)
+        self._set(**values, hinge_stiffness=hinge_stiffness, _identity=_identity)
 
     @classmethod
     def from_identity(
@@ -399,8 +399,8 @@ def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
     """
     one_of("species", species, SPECIES)
     table = _rest_shapes()
-    known = [name for kind, name in table if kind == species]
-    return table[species, one_of("whisker", identity, known)][:2]
+    names = [name for kind, name in table if kind == species]
+    return table[species, one_of("whisker", identity, names)][:2]
 
 
 def is_wire(whisker: Whisker) -> bool:
@@ -460,12 +460,16 @@ def _morphology() -> dict[str, dict[str, float]]:
         "tip_diameter_median_um",
     )
     text = resources.files("weberwhisk").joinpath("data/whisker_morphology.csv").read_text("utf-8")
-    rows = {row["whisker"]: row for row in csv.DictReader(text.splitlines())}
+    by_whisker = {row["whisker"]: row for row in csv.DictReader(text.splitlines())}
     tips: Array = np.array(
-        [float(r["tip_diameter_median_um"]) for r in rows.values() if r["tip_diameter_median_um"]]
+        [
+            float(r["tip_diameter_median_um"])
+            for r in by_whisker.values()
+            if r["tip_diameter_median_um"]
+        ]
     )
     unmeasured = float(np.median(tips))
     return {
         name: {key: float(row[key]) if row[key] else unmeasured for key in numbers}
-        for name, row in rows.items()
+        for name, row in by_whisker.items()
     }

@@ -28,8 +28,8 @@ from .._util.values import Array, Codes, Index
 from .shape import Law, Profile
 
 __all__ = [
-    "CAUTION", "ENDS", "POINTS", "STAGES", "Path", "Piece", "Rows", "follow",
-    "follow_each", "needed", "pilot", "resolve", "rows_of", "zero_load",
+    "CAUTION", "ENDS", "POINTS", "STAGES", "Beams", "Path", "Piece", "beams_of", "follow",
+    "follow_each", "needed", "pilot", "resolve", "zero_load",
 ]  # fmt: skip
 
 STAGES = DOP853.n_stages
@@ -49,7 +49,7 @@ FED, ROWS_OF_STATE = 7, 10
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Beams:
     """n whiskers, flat, in units of their length, base radius and base stiffness.
 
     ``arc, radius, core`` are (k, n); the curvature law holds (n,) arrays, sign included.
@@ -60,39 +60,39 @@ class Rows:
     core: Array | None
     law: Law | None
 
-    def take(self, index: Index | slice) -> Rows:
-        """The rows at `index`."""
+    def take(self, index: Index | slice) -> Beams:
+        """The beams at `index`."""
         law = self.law
         if law is not None:
             law = type(law)(*(value[index] for value in vars(law).values()))
         core = None if self.core is None else self.core[:, index]
-        return Rows(self.arc[:, index], self.radius[:, index], core, law)
+        return Beams(self.arc[:, index], self.radius[:, index], core, law)
 
-    def mirrored(self, sign: Array) -> Rows:
-        """The rows with their curvature mirrored where `sign` is −1."""
+    def mirrored(self, sign: Array) -> Beams:
+        """The beams with their curvature mirrored where `sign` is −1."""
         law = None if self.law is None else self.law.scaled(np.ones_like(sign), sign)
-        return Rows(self.arc, self.radius, self.core, law)
+        return Beams(self.arc, self.radius, self.core, law)
 
 
-def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
-    """The rows of a profile broadcast to the scenes' `shape`."""
+def beams_of(profile: Profile, shape: tuple[int, ...]) -> Beams:
+    """The beams of a profile broadcast to the scenes' `shape`, one a scene."""
 
     def flat(table: ArrayLike, scale: ArrayLike, lead: tuple[int, ...]) -> Array:
-        scaled = np.asarray(table, dtype=float) / scale
-        return np.ascontiguousarray(np.broadcast_to(scaled, (*lead, *shape))).reshape(*lead, -1)
+        ratio = np.asarray(table, dtype=float) / scale
+        return np.ascontiguousarray(np.broadcast_to(ratio, (*lead, *shape))).reshape(*lead, -1)
 
     whisker, knots = profile.whisker, (len(profile.arc),)
     law: Law | None = None
-    scaled = profile.law.scaled(np.asarray(whisker.length))
-    if any(np.any(value != 0) for value in vars(scaled).values()):
-        law = type(scaled)(*(flat(value, 1.0, ()) for value in vars(scaled).values()))
+    ratio = profile.law.scaled(np.asarray(whisker.length))
+    if any(np.any(value != 0) for value in vars(ratio).values()):
+        law = type(ratio)(*(flat(value, 1.0, ()) for value in vars(ratio).values()))
 
     def table(values: Array, scale: ArrayLike) -> Array:
         # Knots lead; what follows broadcasts with the scenes from the right.
         extra = len(shape) + 1 - values.ndim
         return flat(values.reshape(len(values), *(1,) * extra, *values.shape[1:]), scale, knots)
 
-    return Rows(
+    return Beams(
         table(profile.arc, whisker.length),
         table(profile.radius, whisker.base_radius),
         table(profile.core, whisker.base_radius) if np.any(profile.core > 0) else None,
@@ -100,18 +100,18 @@ def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
     )
 
 
-def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
+def zero_load(beams: Beams, r: Array) -> tuple[Array, Array]:
     """Arc length and angle at which the whisker at rest first meets the radius r; NaN if never.
 
     Newton's method from the base outwards: r(s) rises towards the first meeting, and a whisker
     that has turned back before it (dr/ds ≤ 0) or ended never gets there.
     """
-    if rows.law is None:
+    if beams.law is None:
         return np.where(r <= 1 + 1e-12, r, np.nan), np.where(r <= 1 + 1e-12, 0.0, np.nan)
     s, theta = np.minimum(r, 1.0), np.full_like(r, np.nan)
     active = np.arange(r.size)
     for _ in range(60):
-        law, arc = rows.take(active).law, s[active]
+        law, arc = beams.take(active).law, s[active]
         assert law is not None
         x, y = law.point(arc)
         turn = law.turn(arc)
@@ -153,12 +153,12 @@ class Path:
     steps: NDArray[np.int64]
 
     def room(self, n: int) -> Path:
-        """An uninitialised path of n rows."""
+        """An uninitialised path of n beams."""
         return Path(**{k: np.empty((*v.shape[:-1], n), v.dtype) for k, v in vars(self).items()})
 
-    def put(self, index: Index, other: Path) -> Path:
-        """Set the rows at `index`; returns this path."""
-        for name, value in vars(other).items():
+    def put(self, index: Index, path: Path) -> Path:
+        """Set the beams at `index`; returns this path."""
+        for name, value in vars(path).items():
             getattr(self, name)[..., index] = value
         return self
 
@@ -194,7 +194,7 @@ class Path:
         return r_s, r_f, t_s, t_f
 
 
-def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
+def follow(beams: Beams, arc: Array, force: Array, friction: Array, steps: int) -> Path:
     """Follow whiskers from contacts (n,) to the base, in `steps` Runge–Kutta steps on each piece.
 
     Contact arcs are in units of L, forces (≥ 0) of EI₀/L², friction angles in rad.
@@ -202,8 +202,8 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     n = arc.size
     state = np.zeros((ROWS_OF_STATE, n))
     state[4], state[5] = np.sin(friction), np.cos(friction)
-    if rows.law is not None:
-        state[0] = -rows.law(arc)
+    if beams.law is not None:
+        state[0] = -beams.law(arc)
     state[2], state[8] = state[5], -state[4]
     # Two arrays: a product over contiguous rows takes half the time.
     slopes, rates = np.zeros((STAGES, FED, n)), np.zeros((STAGES, ROWS_OF_STATE - FED, n))
@@ -213,12 +213,12 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     error = np.zeros((2, n))
     flips = np.zeros(n, dtype=np.int8)
     above = np.ones(n, dtype=bool)
-    for piece in range(len(rows.arc) - 2, -1, -1):
-        low, high = rows.arc[piece], np.minimum(rows.arc[piece + 1], arc)
+    for piece in range(len(beams.arc) - 2, -1, -1):
+        low, high = beams.arc[piece], np.minimum(beams.arc[piece + 1], arc)
         span = high - low
         if not np.any(span > 0):
             continue
-        path = Piece(rows, piece, low, np.maximum(high, low), steps)
+        path = Piece(beams, piece, low, np.maximum(high, low), steps)
         for step in range(steps):
             weight, give, curl = path.at(step)
             load = -force * give
@@ -250,10 +250,10 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     # θ_d may pass through zero where the whisker is curved or the force tilted: its error is
     # compared with no less than a thousandth of the angles that add up to it.
     deflection = np.abs(angle + np.arctan2(along, lever))
-    parts = np.abs(angle) + np.abs(friction)
-    if rows.law is not None:
-        parts += np.abs(rows.law(arc)) * arc
-    scale = np.minimum(np.maximum(deflection, 1e-3 * parts) + 1e-300, 1.0)
+    angles = np.abs(angle) + np.abs(friction)
+    if beams.law is not None:
+        angles += np.abs(beams.law(arc)) * arc
+    scale = np.minimum(np.maximum(deflection, 1e-3 * angles) + 1e-300, 1.0)
     # Errors are relative to what bends the whisker; those of θ_d and of r are much the same.
     error *= CAUTION / np.sqrt(np.stack([scale, np.maximum(scale, 1e-2)]))
     errors = np.nan_to_num(error, nan=np.inf)
@@ -263,33 +263,35 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
 class Piece:
     """The coefficients of the right side along one piece of linear radius, in τ ∈ [0, 1]."""
 
-    def __init__(self, rows: Rows, piece: int, low: Array, high: Array, steps: int) -> None:
-        left = rows.arc[piece]
-        gap = rows.arc[piece + 1] - left
+    def __init__(self, beams: Beams, piece: int, low: Array, high: Array, steps: int) -> None:
+        left = beams.arc[piece]
+        gap = beams.arc[piece + 1] - left
         share = np.divide(high - left, gap, out=np.zeros_like(gap), where=gap > 0)
-        a_low = rows.radius[piece]
-        self.a_high = a_low + share * (rows.radius[piece + 1] - a_low)
+        a_low = beams.radius[piece]
+        self.a_high = a_low + share * (beams.radius[piece + 1] - a_low)
         # τ is even in ln a. For a cylinder its rate is kept off zero: that a goes as its own
         # exponential of τ is then off by less than 1e-14.
-        own = np.log(a_low / self.a_high) / steps
-        rate = np.where(np.abs(own) * steps < 1e-7, 1e-7 / steps, own)
-        self.rate, self.own = rate, own
+        exact_rate = np.log(a_low / self.a_high) / steps
+        rate = np.where(np.abs(exact_rate) * steps < 1e-7, 1e-7 / steps, exact_rate)
+        self.rate, self.exact_rate = rate, exact_rate
         self.high, self.span = high, high - low
         whole = np.expm1(rate * steps)
         self.gone, self.whole = np.expm1(PLACES[:, None] * rate), whole
         self.weight = (1 + self.gone) * (self.span * rate / whole)
-        self.fourth = np.square(np.square(self.a_high + self.gone * (self.a_high * own / rate)))
+        self.fourth = np.square(
+            np.square(self.a_high + self.gone * (self.a_high * exact_rate / rate))
+        )
         self.give = self.weight / self.fourth
         self.core: tuple[Array, Array] | None = None
-        if rows.core is not None:
-            c_low = rows.core[piece]
-            c_high = c_low + share * (rows.core[piece + 1] - c_low)
+        if beams.core is not None:
+            c_low = beams.core[piece]
+            c_high = c_low + share * (beams.core[piece + 1] - c_low)
             self.core = (c_high, c_low - c_high)
-        self.law = rows.law
+        self.law = beams.law
 
     def at(self, step: int) -> tuple[Array, Array, Array | list[None]]:
         """ds/dτ, ds/dτ/EI and κ₀ ds/dτ at the stages of a step, each (stages, n)."""
-        growth, wider = np.exp(step * self.rate), np.exp(4 * step * self.own)
+        growth, wider = np.exp(step * self.rate), np.exp(4 * step * self.exact_rate)
         weight = self.weight * growth
         give = self.give * (growth / wider)
         if self.law is None and self.core is None:
@@ -335,59 +337,61 @@ def _determinant(state: Array) -> Array:
 
 
 def follow_each(
-    rows: Rows, arc: Array, force: Array, friction: Array, steps: NDArray[np.int64]
+    beams: Beams, arc: Array, force: Array, friction: Array, steps: NDArray[np.int64]
 ) -> Path:
-    """`follow` with a number of steps for each row; no warning is raised."""
-    counts, block = np.unique(steps), 2000  # rows whose slopes fit the cache
+    """`follow` with a number of steps for each beam; no warning is raised."""
+    counts, block = np.unique(steps), 2000  # beams whose slopes fit the cache
     path: Path | None = None
     with np.errstate(all="ignore"):
         if counts.size <= 1 and arc.size <= block:
-            return follow(rows, arc, force, friction, int(np.max(counts, initial=1)))
+            return follow(beams, arc, force, friction, int(np.max(counts, initial=1)))
         for count in counts:
             every = np.flatnonzero(steps == count)
             for start in range(0, every.size, block):
                 at = every[start : start + block]
-                now = follow(rows.take(at), arc[at], force[at], friction[at], int(count))
+                now = follow(beams.take(at), arc[at], force[at], friction[at], int(count))
                 path = (path or now.room(arc.size)).put(at, now)
     assert path is not None
     return path
 
 
 def resolve(
-    rows: Rows,
+    beams: Beams,
     arc: Array,
     force: Array,
     friction: Array,
     tolerance: ArrayLike,
     steps: NDArray[np.int64] | None = None,
 ) -> Path:
-    """`follow` with as many steps as each row needs for an error below `tolerance`.
+    """`follow` with as many steps as each beam needs for an error below `tolerance`.
 
-    The error estimate of a pilot of few steps, or of `steps`, says how many are needed. Rows
+    The error estimate of a pilot of few steps, or of `steps`, says how many are needed. Beams
     that 256 steps a piece do not resolve keep their error; no warning is raised.
     """
     bound = np.broadcast_to(np.asarray(tolerance, dtype=float), arc.size)
-    wanted = np.full(arc.size, pilot(rows)) if steps is None else steps
-    path = follow_each(rows, arc, force, friction, wanted)
+    counts = np.full(arc.size, pilot(beams)) if steps is None else steps
+    path = follow_each(beams, arc, force, friction, counts)
     while True:
         left = np.flatnonzero(path.error > bound)
-        wanted = needed(path.steps[left], path.error[left], bound[left])
-        more = wanted > path.steps[left]
-        left, wanted = left[more], wanted[more]
+        counts = needed(path.steps[left], path.error[left], bound[left])
+        more = counts > path.steps[left]
+        left, counts = left[more], counts[more]
         if not left.size:
             return path
-        path.put(left, follow_each(rows.take(left), arc[left], force[left], friction[left], wanted))
+        path.put(
+            left, follow_each(beams.take(left), arc[left], force[left], friction[left], counts)
+        )
 
 
 def needed(steps: NDArray[np.int64], error: Array, bound: Array) -> NDArray[np.int64]:
     """Steps for an error below `bound`, by the order of the method, from a pass with `steps`."""
     ratio = np.clip(error / bound, 1e-12, 1e12)
-    # Every distinct count costs a pass: powers of √2 for many rows, of 4 for few.
-    coarse = 0.5 if steps.size > 400 else 2.0
-    exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (1 / 8)) / coarse) * coarse
+    # Every distinct count costs a pass: powers of √2 for many beams, of 4 for few.
+    spacing = 0.5 if steps.size > 400 else 2.0
+    exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (1 / 8)) / spacing) * spacing
     return np.clip(np.ceil(np.exp2(exponent)), 1, 256).astype(np.int64)
 
 
-def pilot(rows: Rows) -> int:
+def pilot(beams: Beams) -> int:
     """Steps a piece for a first look."""
-    return max(1, round(4 / (len(rows.arc) - 1) ** 0.75))
+    return max(1, round(4 / (len(beams.arc) - 1) ** 0.75))

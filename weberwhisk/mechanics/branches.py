@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.values import Array, Codes, Flags, Index
-from .beam import Path, Rows, follow_each, resolve, zero_load
+from .beam import Beams, Path, follow_each, resolve, zero_load
 from .contact import Outcome
 from .elastica import nodes
 
@@ -37,21 +37,21 @@ class NotFound(Exception):
     """Raised where a fold is not found."""
 
 
-def extended(rows: Rows) -> Rows:
+def extended(beams: Beams) -> Beams:
     """The whiskers continued beyond their tips to the apex, or to 2.5 lengths."""
     beyond = 2.5
-    gap = rows.arc[-1] - rows.arc[-2]
+    gap = beams.arc[-1] - beams.arc[-2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.where(gap > 0, (rows.radius[-1] - rows.radius[-2]) / gap, 0.0)
-        apex = np.where(slope < 0, 1.0 - rows.radius[-1] / slope, beyond)
+        slope = np.where(gap > 0, (beams.radius[-1] - beams.radius[-2]) / gap, 0.0)
+        apex = np.where(slope < 0, 1.0 - beams.radius[-1] / slope, beyond)
     end = np.minimum(apex, beyond)
-    arc, radius = rows.arc.copy(), rows.radius.copy()
+    arc, radius = beams.arc.copy(), beams.radius.copy()
     arc[-1], radius[-1] = end, np.maximum(radius[-1] + slope * (end - 1.0), 0.0)
     core = None
-    if rows.core is not None:
-        core = rows.core.copy()
+    if beams.core is not None:
+        core = beams.core.copy()
         core[-1] = np.minimum(core[-1], 0.9 * radius[-1])
-    return Rows(arc, radius, core, rows.law)
+    return Beams(arc, radius, core, beams.law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Branches:
 
     #: Which signals are moments.
     moments: ClassVar[Array] = np.array([True, False, False])
-    rows: Rows
+    beams: Beams
     r: Array
     friction: Array
     arc: Array
@@ -81,27 +81,27 @@ class Branches:
 
     @classmethod
     def of(
-        cls, rows: Rows, r: Array, friction: Array, last: float = 1.0, tolerance: float = 1e-9
+        cls, beams: Beams, r: Array, friction: Array, last: float = 1.0, tolerance: float = 1e-9
     ) -> Branches:
         """Branches of `extended` whiskers at distances and friction angles (n,)."""
-        arc, rest = zero_load(rows, r)
-        path = resolve(rows, arc, np.zeros_like(r), friction, 1e-6)
+        arc, rest = zero_load(beams, r)
+        path = resolve(beams, arc, np.zeros_like(r), friction, 1e-6)
         r_s, r_f, t_s, t_f = path.jacobian()
         with np.errstate(divide="ignore", invalid="ignore"):
             compliance = t_f - t_s * r_f / r_s
-        gaps = np.maximum(np.diff(rows.arc, axis=0), 1e-9)
-        place = np.clip((arc - rows.arc[:-1]) / gaps, 0, 1)
-        width = rows.radius[0] + (place * np.diff(rows.radius, axis=0)).sum(axis=0)
-        narrow = np.clip(width / rows.radius[0], 1e-6, 1.0)
+        gaps = np.maximum(np.diff(beams.arc, axis=0), 1e-9)
+        place = np.clip((arc - beams.arc[:-1]) / gaps, 0, 1)
+        width = beams.radius[0] + (place * np.diff(beams.radius, axis=0)).sum(axis=0)
+        narrow = np.clip(width / beams.radius[0], 1e-6, 1.0)
         stiff = narrow / np.where(compliance > 0, compliance, np.nan)
         scale = np.stack([r * narrow, np.nan_to_num(stiff, nan=1.0), narrow])
-        return cls(rows, r, friction, arc, rest, scale, stiff, last, tolerance)
+        return cls(beams, r, friction, arc, rest, scale, stiff, last, tolerance)
 
     def take(self, index: Index) -> Self:
         """The branches at `index`."""
         mine = vars(self).items()
-        parts: dict[str, Any] = {k: v[..., index] for k, v in mine if isinstance(v, np.ndarray)}
-        return replace(self, rows=self.rows.take(index), **parts)
+        arrays: dict[str, Any] = {k: v[..., index] for k, v in mine if isinstance(v, np.ndarray)}
+        return replace(self, beams=self.beams.take(index), **arrays)
 
     @property
     def size(self) -> int:
@@ -119,8 +119,8 @@ class Branches:
         """The whiskers from their contacts to the base."""
         arc, force = y[:, :2].T * self.scale[:2]
         if self.steps is not None:
-            return follow_each(self.rows, arc, force, self.friction, self.steps)
-        return resolve(self.rows, arc, force, self.friction, self.tolerance)
+            return follow_each(self.beams, arc, force, self.friction, self.steps)
+        return resolve(self.beams, arc, force, self.friction, self.tolerance)
 
     def linear(self, y: Array) -> tuple[Array, Array]:
         """Misses of the contact (n, size − 1), and minus their derivatives with respect to y."""
@@ -186,12 +186,12 @@ class Branches:
         def over(y: Array) -> Array:
             return np.concatenate([y[:, :1], y[:, 1:-1] / y[:, -1:]], axis=1)
 
-        known = [over(end), np.concatenate([self.start[:, :1], pace[:, 1:-1]], axis=1)]
+        values = [over(end), np.concatenate([self.start[:, :1], pace[:, 1:-1]], axis=1)]
         cs, points = [0.0, 1.0], np.empty((across, *end.shape))
         for j, c in list(enumerate(nodes(across)))[::-1]:
             near = [0, *range(len(cs) - 1, 0, -1)[:6]]
             guess = sum(
-                known[a] * np.prod([(c - cs[b]) / (cs[a] - cs[b]) for b in near if b != a])
+                values[a] * np.prod([(c - cs[b]) / (cs[a] - cs[b]) for b in near if b != a])
                 for a in near
             )
             push = end[:, -1] * (1 - c) * (1 + c)
@@ -204,7 +204,7 @@ class Branches:
             if not np.max(size) < 1e-6:
                 raise NotFound
             cs.append(float(c))
-            known.append(over(y))
+            values.append(over(y))
             points[j] = y
         signals = np.stack([self.signals(y) for y in points])
         arcs, pushes = points[..., 0] * self.scale[0], points[..., -1] * self.scale[-1]
@@ -242,7 +242,7 @@ def walk(branches: Branches, target: Array, *, peaks: bool = False) -> Walk:
     """
     n, goal = branches.r.size, target / branches.scale[-1]
     # An error of 1e-4 is small beside a step.
-    rough = replace(branches, tolerance=max(branches.tolerance, 1e-4))
+    quick = replace(branches, tolerance=max(branches.tolerance, 1e-4))
     y, end = branches.start, np.full(n, FOLD, dtype=np.int8)
     end[~(branches.stiff > 0)] = NO_MOVE
     end[(end == FOLD) & (branches.arc >= branches.last * (1 - 1e-12))] = TIP
@@ -251,11 +251,11 @@ def walk(branches: Branches, target: Array, *, peaks: bool = False) -> Walk:
     highest = np.zeros(n)
     left = np.flatnonzero(end == FOLD)
     if left.size:
-        tangent[left] = rough.take(left).onset()
+        tangent[left] = quick.take(left).onset()
     for _ in range(400):
         if not left.size:
             break
-        part, h, here, along = rough.take(left), stride[left], y[left], tangent[left]
+        part, h, here, along = quick.take(left), stride[left], y[left], tangent[left]
         there, after, size = part.ahead(here, along, h, 2)
         rise = np.maximum(along[:, -1], 0.0) * h
         good = (size < 1e-3) & ((after * along).sum(axis=1) > 0.97)
@@ -278,22 +278,22 @@ def walk(branches: Branches, target: Array, *, peaks: bool = False) -> Walk:
         left = left[~stops & (next_ >= SHORTEST)]
     point, at = y.copy(), np.flatnonzero(stopped & ((highest >= goal) | np.isinf(goal)))
     if at.size:
-        part, wanted = branches.take(at), goal[at]
-        found, along, h = root(part, y[at], tangent[at], stride[at], Branches.ends)
-        tips = part.room(found) < np.minimum(np.abs(along[:, -1]), np.abs(found[:, 1]))
+        part, pushes = branches.take(at), goal[at]
+        points, along, h = root(part, y[at], tangent[at], stride[at], Branches.ends)
+        tips = part.room(points) < np.minimum(np.abs(along[:, -1]), np.abs(points[:, 1]))
         end[at] = np.where(tips, TIP, FOLD)
-        inside = found[:, -1] >= wanted
-        hits, point[at] = at[inside], found
+        inside = points[:, -1] >= pushes
+        hits, point[at] = at[inside], points
         end[hits] = REACHED
         if hits.size:
-            part = replace(branches.take(hits), goal=wanted[inside])
+            part = replace(branches.take(hits), goal=pushes[inside])
             point[hits] = root(part, y[hits], tangent[hits], h[inside], Branches.short)[0]
     peak, tops = point.copy(), np.flatnonzero(~climbs)
     if tops.size:
         part = branches.take(tops)
-        found = root(part, before[0, tops], before[1, tops], height[tops], moment_slope)[0]
-        early = found[:, -1] < point[tops, -1]  # the tip may come before
-        peak[tops[early]] = found[early]
+        summit = root(part, before[0, tops], before[1, tops], height[tops], moment_slope)[0]
+        early = summit[:, -1] < point[tops, -1]  # the tip may come before
+        peak[tops[early]] = summit[early]
     return Walk(point, end, peak, stopped)
 
 

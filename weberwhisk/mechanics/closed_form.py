@@ -104,12 +104,12 @@ def signal_jacobian(
     r, theta = np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
     stiff, u = whisker.compliance_constant, r * np.divide(whisker.taper, whisker.length)
     push = stiff * theta
-    rows = [
+    jacobian = [
         [-push / r**2, stiff * (1 - u) / r],
         [-push * theta * (3 - u) / r**3, push * (3 - 2 * u) / r**2],
         [-push * (2 - u) / r**3, stiff * (1 - u) / r**2],
     ]
-    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in jacobian], axis=-2)
 
 
 def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: ArrayLike) -> Array:

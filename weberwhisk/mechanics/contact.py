@@ -111,8 +111,8 @@ class Bending(Shown):
         >>> press(Whisker(0.5, 100e-6, 5e-6), 0.1, 0.1).outside_domain
         'Outside the domain: a length of 500 mm, where whiskers are 2 to 200 mm long.'
         """
-        held = np.asarray(self.held)
-        share = np.asarray(self.radial_distance / self.whisker.length)[held]
+        in_contact = np.asarray(self.held)
+        share = np.asarray(self.radial_distance / self.whisker.length)[in_contact]
         return domain.sentence(domain.of_whisker(self.whisker) + domain.of_contact(share, 1.0))
 
     @property
@@ -131,8 +131,8 @@ class Bending(Shown):
         )
         place = f"r = {self.radial_distance * 1e3:.4g} mm, "
         place += f"θ_d = {np.degrees(self.deflection_angle):.4g}°"
-        known = f"{signals} at {place}; " if self.held else ""
-        return f"{known}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).message}"
+        numbers = f"{signals} at {place}; " if self.held else ""
+        return f"{numbers}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).message}"
 
     def _table(self) -> pd.DataFrame:
         units = {
@@ -204,15 +204,15 @@ def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags
 
 def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
     """Call `solve` on pieces of flat arrays, (n,) or (1,) for all, and join what it returns."""
-    found, rows = [], 8192  # pieces that fit the cache halve the time of large calls
-    for start in range(0, max(given[0].size, 1), rows):
-        piece = slice(start, start + rows)
-        found.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
-    if len(found) == 1:
-        return found[0]
-    if isinstance(found[0], tuple):
-        return tuple(np.concatenate(parts, axis=axis) for parts in zip(*found, strict=True))
-    return np.concatenate(found, axis=axis)
+    pieces, size = [], 8192  # pieces that fit the cache halve the time of large calls
+    for start in range(0, max(given[0].size, 1), size):
+        piece = slice(start, start + size)
+        pieces.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
+    if len(pieces) == 1:
+        return pieces[0]
+    if isinstance(pieces[0], tuple):
+        return tuple(np.concatenate(parts, axis=axis) for parts in zip(*pieces, strict=True))
+    return np.concatenate(pieces, axis=axis)
 
 
 def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:

@@ -27,7 +27,7 @@ from .._util.values import Array, Codes, Flags, Index, distinct
 from ..whisker import YOUNGS_MODULUS, Whisker
 from . import profile as planar
 from . import rod
-from .beam import rows_of, zero_load
+from .beam import beams_of, zero_load
 from .branches import Branches, NotFound, extended, walk
 from .contact import Outcome, signals_of
 from .elastica import basis, fit, nodes, place_of, product, unfold
@@ -48,7 +48,7 @@ class _Places(NamedTuple):
 
     which: Index
     distance: Array  # in lengths, 1 where it is not known
-    known: Flags
+    in_reach: Flags
     far: Flags
     room: Array
     last: Array
@@ -156,8 +156,8 @@ class CurvedSurface:
 
     def _parity(self, given: Sequence[Array]) -> Any:
         """Factor of the signals that are odd in the azimuth, (n, S)."""
-        odd = np.array([False, False, True, True, True, False])
-        return np.where(odd, np.sin(given[0])[:, None], 1.0) if self.in_space else 1.0
+        sine_like = np.array([False, False, True, True, True, False])
+        return np.where(sine_like, np.sin(given[0])[:, None], 1.0) if self.in_space else 1.0
 
     def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
         """Reaches (m,) where that is given, and branches at shares `along` of each."""
@@ -165,12 +165,12 @@ class CurvedSurface:
         radius = self.profile.radius.copy()
         radius[-1] = max(radius[-1], THINNEST * radius[0])
         profile = more_curved(replace(self.profile, radius=radius), offset)
-        rows = extended(rows_of(profile, offset.shape))
+        beams = extended(beams_of(profile, offset.shape))
         reach = np.ones(offset.size)
-        if rows.law is not None:
-            reach = np.hypot(*rows.law.point(reach))
+        if beams.law is not None:
+            reach = np.hypot(*beams.law.point(reach))
         r = reach * np.tile(along, len(given[0]))
-        flat = Branches.of(rows, r, friction, np.inf)
+        flat = Branches.of(beams, r, friction, np.inf)
         # Near the apex, where 12 steps a piece were 3 % off at the fold, 36 are 4e-5 off.
         flat = replace(flat, steps=np.where(flat.scale[-1] < 0.02, 3 * STEPS, STEPS))
         if self.in_space:
@@ -264,19 +264,21 @@ class CurvedSurface:
 
     def _polynomials(self, given: Sequence[Array]) -> Array:
         """Products of the Chebyshev polynomials of the conditions, (m, n) or (m, 1)."""
-        parts = [basis(k, share) for k, share in zip(self._axes, self._shares(given), strict=True)]
-        return reduce(lambda a, b: (a[:, None] * b).reshape(len(a) * len(b), -1), parts)
+        factors = [
+            basis(k, share) for k, share in zip(self._axes, self._shares(given), strict=True)
+        ]
+        return reduce(lambda a, b: (a[:, None] * b).reshape(len(a) * len(b), -1), factors)
 
-    def _contracted(self, rows: Array, poly: Array, by_r: Array) -> Array:
+    def _contracted(self, coefficients: Array, poly: Array, by_r: Array) -> Array:
         """A table (k, n) at places (n,)."""
         along = len(by_r)
         if poly.shape[1] == 1:
-            whole = np.ascontiguousarray((rows @ poly).reshape(along, -1).T)
+            whole = np.ascontiguousarray((coefficients @ poly).reshape(along, -1).T)
             return product(whole, by_r)
-        out = np.empty((len(rows) // along, by_r.shape[1]))
+        out = np.empty((len(coefficients) // along, by_r.shape[1]))
         for i in range(0, by_r.shape[1], 512):
             part = slice(i, i + 512)
-            terms = product(rows, poly[:, part]).reshape(along, len(out), -1)
+            terms = product(coefficients, poly[:, part]).reshape(along, len(out), -1)
             np.einsum("xkn,xn->kn", terms, by_r[:, part], out=out[:, part])
         return out
 
@@ -288,14 +290,14 @@ class CurvedSurface:
         given = [next(each) if a.size > 1 else a for a in given]
         poly = self._polynomials(given)
         reach = self._reach @ poly
-        known = (r > 0) & (r <= reach * (1 + 1e-12))
+        in_reach = (r > 0) & (r <= reach * (1 + 1e-12))
         share = np.clip(r / reach, 0.0, 1.0)
         room = 1 - self.taper * share
         by_r = basis(self._along, self._coordinate(share))
         (last,) = self._contracted(self._folds, poly, by_r)
-        far = known & (share > self._safe)
-        r = np.where(known, r, 1.0)
-        return _Places(which, r, known, far, room, last * room, poly, by_r)
+        far = in_reach & (share > self._safe)
+        r = np.where(in_reach, r, 1.0)
+        return _Places(which, r, in_reach, far, room, last * room, poly, by_r)
 
     def _arcs_at(self, place: _Places) -> Array:
         """Arcs of the far places as polynomials of c, (across, n)."""
@@ -306,20 +308,20 @@ class CurvedSurface:
     def limit(self, r: Array, *given: Any) -> Array:
         """Largest push at distances and what is given (n,), rad; NaN out of reach."""
         place = self._placed(r, tuple(map(np.atleast_1d, given)))
-        out = np.where(place.known, place.last, np.nan)
+        out = np.where(place.in_reach, place.last, np.nan)
         if place.far.any():
             arcs, c = self._arcs_at(place), np.linspace(1.0, 0.0, 25)
             over = basis(self._across, c).T @ arcs - 1
             over[0] = np.minimum(over[0], 0.0)
             slips = np.flatnonzero((over > 0).any(axis=0))
             first, terms = (over[:, slips] > 0).argmax(axis=0), arcs[:, slips]
-            held, lost = c[first - 1], c[first]
+            inside, outside = c[first - 1], c[first]
             below, above = over[first - 1, slips], over[first, slips]
             for _ in range(8):  # false position: all but straight, each is some 40 times closer
-                at = held + (lost - held) * below / (below - above)
+                at = inside + (outside - inside) * below / (below - above)
                 value = (basis(self._across, at) * terms).sum(axis=0) - 1
-                held, below = np.where(value > 0, [held, below], [at, value])
-                lost, above = np.where(value > 0, [at, value], [lost, above])
+                inside, below = np.where(value > 0, [inside, below], [at, value])
+                outside, above = np.where(value > 0, [at, value], [outside, above])
             out[np.flatnonzero(place.far)[slips]] *= 1 - at**2
         return out[place.which]
 
@@ -331,12 +333,12 @@ class CurvedSurface:
         terms = self._contracted(self._signals, place.poly, place.by_r)
         terms = terms.reshape(size, self._across, -1)
         last = place.last[which]
-        r, known = place.distance, place.known[which]
+        r, in_reach = place.distance, place.in_reach[which]
         with np.errstate(all="ignore"):
             powers = basis(self._across, np.sqrt(np.maximum(1 - push / last, 0.0)))
             lateral = (3 * self.stiffness / self.length**2) * place.room / r**2
-            rows = np.ascontiguousarray((terms * lateral).transpose(2, 1, 0))
-            out = np.matmul(powers.T[:, None], rows[which])[:, 0]
+            coefficients = np.ascontiguousarray((terms * lateral).transpose(2, 1, 0))
+            out = np.matmul(powers.T[:, None], coefficients[which])[:, 0]
             out *= push[:, None] * self._parity(given)
             out[:, self._moments] *= (r * self.length)[which][:, None]
         slips = np.zeros(push.size, dtype=bool)
@@ -344,12 +346,12 @@ class CurvedSurface:
             far = np.flatnonzero(place.far[which])
             at = (np.cumsum(place.far) - 1)[which][far]
             slips[far] = (powers[:, far] * self._arcs_at(place)[:, at]).sum(axis=0) > 1 + 1e-9
-        held = known & (push >= 0) & (push <= last) & ~slips
-        out[~held] = np.nan
+        in_contact = in_reach & (push >= 0) & (push <= last) & ~slips
+        out[~in_contact] = np.nan
         lost = np.where(slips, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
         lost = np.where(push < 0, Outcome.NO_TOUCH, lost)
-        lost = np.where(known, lost, Outcome.OUT_OF_REACH)
-        return out, np.where(held, Outcome.HELD, lost).astype(np.int8)
+        lost = np.where(in_reach, lost, Outcome.OUT_OF_REACH)
+        return out, np.where(in_contact, Outcome.HELD, lost).astype(np.int8)
 
 
 @lru_cache(maxsize=256)
@@ -358,8 +360,8 @@ def curved_surface(
     offset: tuple[float, float] = (0.0, 0.0), *, in_space: bool = False,
 ) -> CurvedSurface:  # fmt: skip
     """A `CurvedSurface`, kept for next contacts; whiskers of all stiffnesses share its tables."""
-    alike = with_modulus(whisker, YOUNGS_MODULUS), friction, offset
-    surface = copy(_kept(*alike, in_space=in_space))
+    stiffness_free = with_modulus(whisker, YOUNGS_MODULUS), friction, offset
+    surface = copy(_kept(*stiffness_free, in_space=in_space))
     surface.whisker, surface.profile = whisker, Profile.of(whisker)
     surface.stiffness = float(surface.profile.whisker.stiffness)
     return surface
@@ -387,18 +389,18 @@ def pressed(
     """`SIX` signals (n, 6) and outcomes (n,) of contacts, by the rod's own equations."""
     profile = Profile.of(whisker)
     whisker = more_curved(profile, np.asarray(offset))
-    rows = rows_of(whisker, r.shape)
+    beams = beams_of(whisker, r.shape)
     length = float(profile.whisker.length)
-    known = (r > 0) & np.isfinite(push) & np.isfinite(azimuth)
-    rest, aside = circle(zero_load(rows, np.where(known, r / length, 0.5))[1], azimuth)
+    usable = (r > 0) & np.isfinite(push) & np.isfinite(azimuth)
+    rest, aside = circle(zero_load(beams, np.where(usable, r / length, 0.5))[1], azimuth)
     place = r * (rest * np.cos(push) + aside * np.sin(push))
-    known &= np.isfinite(place).all(axis=0)
-    place[:, ~known] = [[0.5 * length], [0.0], [0.0]]
+    usable &= np.isfinite(place).all(axis=0)
+    place[:, ~usable] = [[0.5 * length], [0.0], [0.0]]
     bent = rod.press(whisker, place.T, friction, round_back=push > np.pi)
     signals = np.concatenate([bent.force * [-1, 1, 1], bent.moment], axis=-1)
-    signals[~known | (push < 0)] = np.nan
+    signals[~usable | (push < 0)] = np.nan
     outcome = np.where(push < 0, Outcome.NO_TOUCH, bent.outcome)
-    return signals, np.where(known, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
+    return signals, np.where(usable, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,7 +416,7 @@ class SpaceBranches(Branches):
         """Branches of the same contacts at azimuths (n,)."""
         none, one, twist = np.zeros(flat.r.size), np.ones(flat.r.size), 1 + rod.POISSON_RATIO
         shape = flat.r.shape
-        scenes = rod.RodScenes(flat.rows, shape, one, one, flat.friction, none, twist, whisker)
+        scenes = rod.RodScenes(flat.beams, shape, one, one, flat.friction, none, twist, whisker)
         scale = flat.scale[[0, 1, 1, 2]]
         return cls(**vars(flat) | {"scale": scale}, scenes=scenes, azimuth=azimuth)
 

@@ -104,10 +104,10 @@ class Curve:
     def __call__(self, x: Array) -> Array:
         """Values (k, len(x))."""
         # In pieces whose polynomials stay in the cache: four times as fast on a million points.
-        rows, n, size = np.ascontiguousarray(self.coefficients.T), len(self.coefficients), 8192
-        out = np.empty((len(rows), x.size))
+        functions, n, size = np.ascontiguousarray(self.coefficients.T), len(self.coefficients), 8192
+        out = np.empty((len(functions), x.size))
         for i in range(0, x.size, size):
-            out[:, i : i + size] = product(rows, basis(n, x[i : i + size]))
+            out[:, i : i + size] = product(functions, basis(n, x[i : i + size]))
         return out
 
     @cached_property
@@ -123,26 +123,26 @@ class ChebyshevTable:
     coefficients: Array
 
     @cached_property
-    def _rows(self) -> Array:
+    def _by_function(self) -> Array:
         nx, ny, k = self.coefficients.shape
         return np.ascontiguousarray(self.coefficients.transpose(2, 0, 1).reshape(k * nx, ny))
 
     def __call__(self, x: Array, y: Array) -> Array:
         """Values (k, len(x)) at the points (x, y)."""
         nx, ny, k = self.coefficients.shape
-        along_y = product(self._rows, basis(ny, y)).reshape(k, nx, -1)
+        along_y = product(self._by_function, basis(ny, y)).reshape(k, nx, -1)
         return np.einsum("kin,in->kn", along_y, basis(nx, x))
 
     @cached_property
     def gradient(self) -> ChebyshevTable:
         """The table of all values, then all d/dx, then all d/dy."""
-        parts = [self.coefficients]
+        tables = [self.coefficients]
         for axis in (0, 1):
             derived = 2 * chebyshev.chebder(self.coefficients, axis=axis)
             padding = [(0, 0)] * 3
             padding[axis] = (0, 1)
-            parts.append(np.pad(derived, padding))
-        return ChebyshevTable(np.concatenate(parts, axis=2))
+            tables.append(np.pad(derived, padding))
+        return ChebyshevTable(np.concatenate(tables, axis=2))
 
 
 def load_cap(u: Array) -> Array:
@@ -360,9 +360,9 @@ def _signal_jacobian(
     table = the_map()
     x = unfold(v)
     x_r = 2 / (1 + 2 * x) * v_r
-    scaled = table.fold(x)[0]
-    fold_angle = (1 - v) * scaled
-    fold_angle_r = -v_r * scaled + (1 - v) * table.fold.derivative(x)[0] * x_r
+    folds = table.fold(x)[0]
+    fold_angle = (1 - v) * folds
+    fold_angle_r = -v_r * folds + (1 - v) * table.fold.derivative(x)[0] * x_r
     tangent = theta / fold_angle
     c = np.sqrt((1 - tangent) * (1 + tangent))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -386,7 +386,7 @@ def _signal_jacobian(
         moment_r = (force_r * r + force) * lever_cosine - force * r * lever_sine * alpha_r
         moment_theta = force_theta * lever_cosine - force * lever_sine * (alpha_theta - 1)
         axial_theta = force_theta * sine + force * cosine * alpha_theta
-        rows = [
+        jacobian = [
             [sign * moment_r, r * moment_theta],
             [force_r * sine + force * cosine * alpha_r, sign * axial_theta],
             [
@@ -394,7 +394,7 @@ def _signal_jacobian(
                 force_theta * cosine - force * sine * alpha_theta,
             ],
         ]
-    return np.where(lost, np.nan, rows)
+    return np.where(lost, np.nan, jacobian)
 
 
 class Surface:
@@ -449,8 +449,11 @@ class Surface:
         """Signals (n, 3), NaN where not held, and outcomes (n,) at distances and angles (n,)."""
         r = np.asarray(radial_distance, dtype=float)
         limit = self.limit(r)
-        held = (np.abs(deflection_angle) <= limit) & (r > 0)
-        place, theta = np.where(held, r, self.length / 2), np.where(held, deflection_angle, 0.0)
+        in_contact = (np.abs(deflection_angle) <= limit) & (r > 0)
+        place, theta = (
+            np.where(in_contact, r, self.length / 2),
+            np.where(in_contact, deflection_angle, 0.0),
+        )
         size = np.abs(theta)
         force, contact_angle, *_ = _contact(
             place / self.length * self.taper, self.stiffness, place, size
@@ -459,8 +462,8 @@ class Surface:
         out = _numbers(x, y, contact_angle, place, force, np.sign(theta))[:3].T
         outcome = np.where(r > self.tip_from, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
         outcome[np.isnan(limit) | ~(r > 0)] = Outcome.OUT_OF_REACH
-        outcome[held] = Outcome.HELD
-        out[~held] = np.nan
+        outcome[in_contact] = Outcome.HELD
+        out[~in_contact] = np.nan
         return out, outcome.astype(np.int8)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Index
 from ..whisker import Whisker
-from .beam import Path, Rows, follow_each, needed, rows_of, zero_load
+from .beam import Beams, Path, beams_of, follow_each, needed, zero_load
 from .branches import FOLD, Branches, extended, walk
 from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
 from .elastica import ChebyshevTable, Curve, the_map, unfold
@@ -24,7 +24,7 @@ from .shape import Profile
 
 __all__ = [
     "ROUNDING", "Scenes", "Solved", "at_points", "by_rows", "common_shape", "in_order",
-    "numbers_of", "on_whisker", "press_rows", "signal_error", "signal_slopes",
+    "numbers_of", "on_whisker", "press_beams", "signal_error", "signal_slopes",
 ]  # fmt: skip
 
 Solved = tuple[Array, Codes, Array]
@@ -53,7 +53,7 @@ class Scenes:
     shape: tuple[int, ...]
     length: Array
     force: Array
-    rows: Rows
+    beams: Beams
     given: list[Array]
 
     @classmethod
@@ -68,14 +68,14 @@ class Scenes:
         length, force = flat(base.length), flat(base.force_scale)
         unit: dict[str, Any] = {"length": length, "force": force}
         given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
-        return cls(base, shape, length, force, rows_of(profile, shape), given)
+        return cls(base, shape, length, force, beams_of(profile, shape), given)
 
-    def pieces(self) -> Iterator[tuple[slice, Rows, list[Array]]]:
+    def pieces(self) -> Iterator[tuple[slice, Beams, list[Array]]]:
         """Pieces of 32 768 scenes: where they are, their whiskers and their arguments."""
         size = 32768
         for start in range(0, self.length.size, size):
             part = slice(start, start + size)
-            yield part, self.rows.take(part), [a[part] for a in self.given]
+            yield part, self.beams.take(part), [a[part] for a in self.given]
 
     def jacobian(self, slopes: Array) -> Array:
         """Slopes (3, 2, n) of moment and two forces to (r, θ_d), (..., 3, 2) and in SI units."""
@@ -100,8 +100,8 @@ def by_rows(
     scenes = Scenes.of(whisker, **arguments)
     n = scenes.length.size
     numbers, outcome, error = np.empty((8, n)), np.empty(n, dtype=np.int8), np.empty(n)
-    for part, rows, given in scenes.pieces():
-        numbers[:, part], outcome[part], error[part] = solve(rows, *given)
+    for part, beams, given in scenes.pieces():
+        numbers[:, part], outcome[part], error[part] = solve(beams, *given)
     return scenes.bending(numbers, outcome, error)
 
 
@@ -109,27 +109,27 @@ def by_rows(
 ROUNDING = 3e-15
 
 
-def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float) -> Solved:
+def press_beams(beams: Beams, r: Array, theta: Array, psi: Array, tolerance: float) -> Solved:
     """Numbers, outcomes and errors of whiskers pressed against points (r, θ)."""
     n = r.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-    start, rest = zero_load(rows, r)
-    good = in_order(rows, start, np.isfinite(start) & on_whisker(rows, start))
+    start, rest = zero_load(beams, r)
+    good = in_order(beams, start, np.isfinite(start) & on_whisker(beams, start))
     if not good.size:
         return numbers, outcome, error
     sign = np.where(theta < rest, -1.0, 1.0)[good]
-    part = rows.take(good).mirrored(sign)
+    part = beams.take(good).mirrored(sign)
     distance, angle, psi_ = r[good], theta[good] * sign, psi[good]
     push = angle - rest[good] * sign
-    s, f, path, rest_error, found = _newton(
+    s, f, path, rest_error, converged = _newton(
         part, distance, angle, psi_, start[good], push, tolerance
     )
     values = numbers_of(path.angle, path.lever, path.along, s, f, psi_, sign)
     error[good] = np.minimum(signal_error(path, f, given_contact=True) + rest_error, 1.0)
     outcome[good] = Outcome.HELD
 
-    hard = np.flatnonzero(~found)
+    hard = np.flatnonzero(~converged)
     if hard.size:
         whiskers = extended(part.take(hard))
         branch = Branches.of(whiskers, distance[hard], psi_[hard], tolerance=tolerance)
@@ -139,29 +139,29 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
         # Where contact without friction would be stable, friction has stopped the sliding.
         folded = good[hard[(ended.end == FOLD) & (psi_[hard] != 0)]]
         if folded.size:
-            of = rows.take(folded), r[folded], theta[folded]
-            slick = press_rows(*of, 0 * r[folded], tolerance)[1]
+            of = beams.take(folded), r[folded], theta[folded]
+            slick = press_beams(*of, 0 * r[folded], tolerance)[1]
             outcome[folded[slick == Outcome.HELD]] = Outcome.STUCK
-    held = outcome[good] == Outcome.HELD
-    numbers[:, good] = np.where(held, values, np.nan)
-    error[good] = np.where(held, error[good], np.nan)
+    in_contact = outcome[good] == Outcome.HELD
+    numbers[:, good] = np.where(in_contact, values, np.nan)
+    error[good] = np.where(in_contact, error[good], np.nan)
     numbers[3], numbers[4] = r, theta  # as given
     return numbers, outcome, error
 
 
 def _newton(
-    rows: Rows, r: Array, theta: Array, psi: Array, start: Array, push: Array, tolerance: float
+    beams: Beams, r: Array, theta: Array, psi: Array, start: Array, push: Array, tolerance: float
 ) -> tuple[Array, Array, Path, Array, Flags]:
     """Arc, force and pass at (r, θ), error left by the last step, and where stability is shown."""
     n = r.size
-    compliance, f, s, steps = _guess(rows, r, psi, start, push)
+    compliance, f, s, steps = _guess(beams, r, psi, start, push)
     floor = 1e-6 / compliance
     size, before, left = np.full(n, np.inf), np.ones(n), np.zeros(n)
     paths: Path | None = None
     active = np.arange(n)
     for count in range(12):
         at = active
-        part = rows.take(at) if at.size < n else rows
+        part = beams.take(at) if at.size < n else beams
         path = follow_each(part, s[at], f[at], psi[at], steps[at])
         with np.errstate(all="ignore"):
             r_s, r_f, t_s, t_f = path.jacobian()
@@ -200,17 +200,17 @@ def _newton(
         if not active.size:
             break
     assert paths is not None
-    found = (left <= tolerance) & (size < 1e-2) & (paths.flips == 0)
-    found &= (paths.error <= tolerance) & (f > -floor) & ~_winds(rows)
+    converged = (left <= tolerance) & (size < 1e-2) & (paths.flips == 0)
+    converged &= (paths.error <= tolerance) & (f > -floor) & ~_winds(beams)
     with np.errstate(invalid="ignore"):
         slack = 1e-5 * np.sqrt(tolerance) + 10 * tolerance
-        found &= np.abs(paths.distance - r) <= (slack + left) * r
-        found &= np.abs(paths.deflection - theta) <= slack + left
-    return s, f, paths, left, found
+        converged &= np.abs(paths.distance - r) <= (slack + left) * r
+        converged &= np.abs(paths.deflection - theta) <= slack + left
+    return s, f, paths, left, converged
 
 
 def _guess(
-    rows: Rows, r: Array, psi: Array, start: Array, push: Array
+    beams: Beams, r: Array, psi: Array, start: Array, push: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """dθ_d/dF at zero load; force, arc and steps a piece from which Newton's method starts.
 
@@ -218,8 +218,8 @@ def _guess(
     to deflection angle, its fold shifted for friction and the shape at rest.
     """
     # One step is not enough where the taper is thin.
-    thin = start * (1 - rows.radius[-1] / rows.radius[0]) > 0.7
-    path = follow_each(rows, start, np.zeros_like(r), psi, np.where(thin, 2, 1))
+    thin = start * (1 - beams.radius[-1] / beams.radius[0]) > 0.7
+    path = follow_each(beams, start, np.zeros_like(r), psi, np.where(thin, 2, 1))
     r_s, r_f, t_s, t_f = path.jacobian()
     slide = -r_f / r_s
     share = path.d_force[0] / t_f  # (3 − 2v) / (2 (1 − v)) for a straight taper touched at r = vA
@@ -228,7 +228,7 @@ def _guess(
     # The folds of curved whiskers and of those that friction pushes along, against straight ones.
     tilt = path.angle - psi - path.deflection
     moved = np.clip(1 - 0.45 * psi - 0.8 * tilt, 0.3, 3.0)
-    table, folds = _coarse()
+    table, folds = _small_table()
     x = unfold(v)
     fold = (1 - v) * folds(x)[0]
     near = np.minimum(push / (moved * fold), 0.98)
@@ -236,20 +236,20 @@ def _guess(
     log_force += near * (0.4 * psi * (1 + near**2) - 0.35 * tilt)
     f = near * moved * fold / compliance * np.exp(log_force)
     s = start * (1 + push**2 / (1 - v) * np.exp(log_extra)) + slide * f
-    spanned = np.maximum((rows.arc[:-1] < start).sum(axis=0), 1)
+    spanned = np.maximum((beams.arc[:-1] < start).sum(axis=0), 1)
     steps = np.rint(2.8 * (push * share) ** 0.2 / spanned**0.7)
     return compliance, f, np.clip(s, 0.5 * start, 1.0), np.clip(steps, 1, 4).astype(np.int64)
 
 
-def _winds(rows: Rows) -> Flags:
+def _winds(beams: Beams) -> Flags:
     """Whether whiskers are so curled that Newton's method may find another branch than the first.
 
     From 1.5 rad of turn at rest on, about twice that of a rat's whisker.
     """
-    if rows.law is None:
-        return np.zeros(rows.radius.shape[1], dtype=bool)
-    turns = [np.abs(rows.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
-    return np.asarray(np.max(turns, axis=0) > 1.5)
+    if beams.law is None:
+        return np.zeros(beams.radius.shape[1], dtype=bool)
+    bends = [np.abs(beams.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
+    return np.asarray(np.max(bends, axis=0) > 1.5)
 
 
 def at_points(
@@ -329,22 +329,22 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
     return np.asarray(slopes)
 
 
-def on_whisker(rows: Rows, arc: Array) -> Flags:
+def on_whisker(beams: Beams, arc: Array) -> Flags:
     """Whether arcs are on the whisker, and not at the tip of a cone, which has no stiffness."""
-    return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (rows.radius[-1] <= 0))
+    return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (beams.radius[-1] <= 0))
 
 
-def in_order(rows: Rows, arc: Array, which: Flags) -> Index:
+def in_order(beams: Beams, arc: Array, which: Flags) -> Index:
     """The indices of `which`, sorted by contact arc if there are several pieces.
 
     A block of contacts near the base then skips the pieces beyond.
     """
     index = np.flatnonzero(which)
-    return index[np.argsort(arc[index])] if len(rows.arc) > 2 else index
+    return index[np.argsort(arc[index])] if len(beams.arc) > 2 else index
 
 
 @cache
-def _coarse() -> tuple[ChebyshevTable, Curve]:
+def _small_table() -> tuple[ChebyshevTable, Curve]:
     """The map of the elastica truncated to six digits, twenty times as fast."""
     table = ChebyshevTable(the_map().contact_given.coefficients[:12, :8])
     return table, Curve(the_map().fold.coefficients[:12, :1])

@@ -31,7 +31,7 @@ from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
-from .beam import rows_of, zero_load
+from .beam import beams_of, zero_load
 from .contact import Outcome, in_pieces, signals_of
 from .curved_surface import THINNEST, CurvedSurface, curved_surface, more_curved, pressed
 from .elastica import Surface, surface_of
@@ -147,8 +147,8 @@ class ForwardModel(Value):
     @cached_property
     def is_smooth(self) -> bool:
         """Whether it is a linear taper without friction and of certain curvature."""
-        known = not any((*self.friction_range, *self.offset_range))
-        return known and isinstance(self.whisker, Whisker)
+        fixed = not any((*self.friction_range, *self.offset_range))
+        return fixed and isinstance(self.whisker, Whisker)
 
     @cached_property
     def surface(self) -> Surface | CurvedSurface:
@@ -189,11 +189,11 @@ class ForwardModel(Value):
             if name == "hinge":
                 at, nodes = np.log(at), np.log(grid)
             each = [
-                np.prod([(at - other) / (node - other) for other in nodes if other != node], axis=0)
+                np.prod([(at - m) / (node - m) for m in nodes if m != node], axis=0)
                 for node in nodes
             ]
-            own = np.stack(np.broadcast_arrays(*each), axis=-1)
-            both = weight[..., :, None] * own[..., None, :]
+            weights = np.stack(np.broadcast_arrays(*each), axis=-1)
+            both = weight[..., :, None] * weights[..., None, :]
             weight = both.reshape(*both.shape[:-2], -1)
         return np.asarray((values * weight).sum(axis=-1))
 
@@ -211,7 +211,7 @@ class ForwardModel(Value):
 
     # -- contacts ------------------------------------------------------------------------------
 
-    def _rows(self, r: ArrayLike, *more: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    def _flattened(self, r: ArrayLike, *more: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
         """The broadcast shape, and arguments and conditions flat; constant conditions as (1,).
 
         A surface is contracted once for a constant condition: ten times as fast.
@@ -228,10 +228,10 @@ class ForwardModel(Value):
     def rest(self, r: ArrayLike) -> Array:
         """Deflection angle at which the whisker at rest touches at a distance (...), rad."""
         if self.is_plain:
-            return np.zeros(self._rows(r)[0])
-        shape, (flat, _, offset, _) = self._rows(r)
-        rows = rows_of(self._at_rest(offset), flat.shape)
-        return zero_load(rows, flat / self.length)[1].reshape(shape)
+            return np.zeros(self._flattened(r)[0])
+        shape, (flat, _, offset, _) = self._flattened(r)
+        beams = beams_of(self._at_rest(offset), flat.shape)
+        return zero_load(beams, flat / self.length)[1].reshape(shape)
 
     def _at_rest(self, offset: Array) -> Profile:
         """The clamped whisker, more curved by offsets (n,) or (1,), 1/m."""
@@ -240,10 +240,10 @@ class ForwardModel(Value):
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
         if self.azimuth is not None:
-            shape, (*given, _) = self._rows(r, self.azimuth)
+            shape, (*given, _) = self._flattened(r, self.azimuth)
             limit: Any = self.surface.limit  # of a `CurvedSurface`
             return np.asarray(in_pieces(limit, *given)).reshape(shape)
-        shape, (flat, psi, kappa, compliance) = self._rows(r)
+        shape, (flat, psi, kappa, compliance) = self._flattened(r)
         if self.is_hinged:
             compliance = np.broadcast_to(compliance, flat.shape)
             return _largest(self._table, self._compliances, flat, compliance)[3].reshape(shape)
@@ -273,19 +273,19 @@ class ForwardModel(Value):
             both = np.broadcast_arrays(r, theta)
             shape, flat = both[0].shape, [a.reshape(-1) for a in both]
         else:
-            shape, (*flat, _) = self._rows(r, theta)
+            shape, (*flat, _) = self._flattened(r, theta)
         out, outcome = in_pieces(surface, *flat, axis=0)
         return out.reshape(*shape, 3), outcome.reshape(shape)
 
     @cached_property
     def _table(self) -> ForwardModel:
         """The clamped whisker, by a table."""
-        rough = not self.is_plain and self.model in ("elastica", "closed_form")
-        return replace(self.clamped, model="elastica" if rough else None)
+        straight = not self.is_plain and self.model in ("elastica", "closed_form")
+        return replace(self.clamped, model="elastica" if straight else None)
 
     def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Flags]:
         """θ′ of deflections (...), and whether contact is lost at a fold of the hinge."""
-        shape, (flat, angle, _, _, compliance) = self._rows(r, theta)
+        shape, (flat, angle, _, _, compliance) = self._flattened(r, theta)
         compliance = np.broadcast_to(compliance, flat.shape)
         if self.model == "closed_form":
             inner = angle / (1 + compliance * closed_form.moment(self.base, flat, 1.0))
@@ -298,7 +298,7 @@ class ForwardModel(Value):
 
         At `azimuth`: by the table or, where the model is "rod", one by one.
         """
-        shape, (*flat, _) = self._rows(r, push, self.azimuth)
+        shape, (*flat, _) = self._flattened(r, push, self.azimuth)
         if self.model == "profile":
             raise Refusal(
                 "The planar beam knows no contacts out of its plane",
@@ -351,8 +351,8 @@ class ForwardModel(Value):
             sides = [self.signals(r + s * h * to[0], theta + s * h * to[1])[0] for s in (1, 0, -1)]
             slope = (sides[0] - sides[2]) / (2 * h[..., None])
             for side, sign in ((0, 1), (2, -1)):  # one-sided at an edge
-                rough = sign * (sides[side] - sides[1]) / h[..., None]
-                slope = np.where(np.isnan(slope), rough, slope)
+                one_sided = sign * (sides[side] - sides[1]) / h[..., None]
+                slope = np.where(np.isnan(slope), one_sided, slope)
             columns.append(slope)
         return np.stack(columns, axis=-1)
 
@@ -405,11 +405,11 @@ def _clamped_angle(
     forward: ForwardModel, ends: tuple[float, float], r: Array, theta: Array, compliance: Array
 ) -> tuple[Array, Flags]:
     """θ′ (n,), beyond its limit where θ is; and whether contact is lost other than at the tip."""
-    top, peak, last, held = _largest(forward, ends, r, compliance)
+    top, peak, last, largest = _largest(forward, ends, r, compliance)
     size = np.abs(theta)
-    inside = (size > 0) & (size < last) & (size <= held)
+    inside = (size > 0) & (size < last) & (size <= largest)
     # Beyond the limit of θ, θ′ is beyond the clamped whisker's, which gives the outcome.
-    out = np.where(size > held, 2 * top + size, np.where(size == last, top * np.sin(peak), size))
+    out = np.where(size > largest, 2 * top + size, np.where(size == last, top * np.sin(peak), size))
     if inside.any():
 
         def excess(p: Array, *given: Array) -> Array:
@@ -419,13 +419,13 @@ def _clamped_angle(
 
         q, end = np.arcsin(size[inside] / last[inside]), peak[inside]
         args = (*(a[inside] for a in (r, top, compliance, last)), q)
-        found: Any = find_root(
+        solution: Any = find_root(
             excess, (0 * q, end), args=args, tolerances={"xrtol": 1e-12, "frtol": 1e-12}
         )
         # Rounding can leave no root between the ends where θ is all but the largest.
-        p = np.where(found.success, found.x, np.where(q > np.pi / 2 - 1e-6, end, np.nan))
+        p = np.where(solution.success, solution.x, np.where(q > np.pi / 2 - 1e-6, end, np.nan))
         out[inside] = top[inside] * np.sin(p)
-    return np.copysign(out, theta), (size > held) & ((peak < np.pi / 2) | (last > held))
+    return np.copysign(out, theta), (size > largest) & ((peak < np.pi / 2) | (last > largest))
 
 
 def _angle(forward: ForwardModel, p: Array, r: Array, top: Array, compliance: Array) -> Array:
@@ -437,8 +437,8 @@ def _angle(forward: ForwardModel, p: Array, r: Array, top: Array, compliance: Ar
 def _peaks(forward: ForwardModel, low: float, high: float) -> Callable[[Array, Array], Array]:
     """p (n,) at which θ is largest, as a function of r and Λ; θ is stationary there."""
     place = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, 400)) ** 2
-    soft = np.geomspace(low, high, 33) if high > low else np.array([low])
-    r, compliance = (a.ravel() for a in np.meshgrid(place, soft, indexing="ij"))
+    compliances = np.geomspace(low, high, 33) if high > low else np.array([low])
+    r, compliance = (a.ravel() for a in np.meshgrid(place, compliances, indexing="ij"))
     step, end, top = 1e-4, np.full(r.shape, np.pi / 2), forward.limit(r)
 
     def rise(p: Array, *at: Array) -> Array:
@@ -451,10 +451,10 @@ def _peaks(forward: ForwardModel, low: float, high: float) -> Callable[[Array, A
     peak = end.reshape(len(place), -1)
     if not high > low:
         return lambda r, compliance: np.interp(r, place, peak[:, 0])
-    table = RegularGridInterpolator((place, np.log(soft)), peak)
+    table = RegularGridInterpolator((place, np.log(compliances)), peak)
 
     def between(r: Array, compliance: Array) -> Array:
-        inside = np.clip(r, place[0], place[-1]), np.log(np.clip(compliance, *soft[[0, -1]]))
+        inside = np.clip(r, place[0], place[-1]), np.log(np.clip(compliance, *compliances[[0, -1]]))
         return np.asarray(table(np.stack(np.broadcast_arrays(*inside), axis=-1)))
 
     return between

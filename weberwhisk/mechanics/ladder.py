@@ -80,7 +80,7 @@ def bend(
     tilt = friction(friction_angle)
     hint = "write ww.mechanics.rod.bend(whisker, arc_length, force, direction, plane=...)"
     _refuse_roll(whisker, "bend", roll, hint)
-    name = _model_of(whisker, model, tilt, known=MODELS[:3])
+    name = _model_of(whisker, model, tilt, models=MODELS[:3])
     if name in _STRAIGHT:
         return _STRAIGHT[name].bend(whisker, arc, load)
     return _module("profile").bend(whisker, arc, load, tilt, tolerance=tolerance)
@@ -352,7 +352,7 @@ def _model_of(
     model: str | None,
     friction_angle: ArrayLike,
     roll: ArrayLike = 0.0,
-    known: tuple[str, ...] = MODELS,
+    models: tuple[str, ...] = MODELS,
 ) -> str:
     """The name of the model to use: the named one, or the cheapest that leaves nothing out."""
     needs = {}  # feature of the scene → its size and unit, and the lowest model that includes it
@@ -371,7 +371,7 @@ def _model_of(
     lowest = max((least for _, least in needs.values()), default=Model.ELASTICA)
     if model is None:
         return lowest.name.lower()
-    one_of("model", model, known)
+    one_of("model", model, models)
     for what, (size, least) in needs.items():
         if Model[model.upper()] < least:
             raise Refusal(

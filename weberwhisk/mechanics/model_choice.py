@@ -398,25 +398,25 @@ def of_model(observer: Any, model: str) -> float:
     each = 144 if observer.bounded == 1 else 12
     contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, each)))[0]
     exact = observer.cue.signals(observer.whisker, contact)
-    rough = observer.cue.signals(observer.whisker, contact, model=model)
-    if ((exact[1] == Outcome.HELD) & (rough[1] != Outcome.HELD)).any():
+    cheaper = observer.cue.signals(observer.whisker, contact, model=model)
+    if ((exact[1] == Outcome.HELD) & (cheaper[1] != Outcome.HELD)).any():
         return np.inf
-    return between(observer, contact, exact, rough)
+    return between(observer, contact, exact, cheaper)
 
 
 def between(
-    observer: Any, contact: Array, one: tuple[Array, Codes], other: tuple[Array, Codes]
+    observer: Any, contact: Array, full: tuple[Array, Codes], cheap: tuple[Array, Codes]
 ) -> float:
     """Largest bias between two sets of signals of contacts, JNDs."""
-    (exact, outcome), (rough, held) = one, other
-    known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
-    known &= np.nan_to_num(observer.noise.sd(exact), nan=1.0).all(axis=-1)  # else known exactly
+    (exact, outcome), (cheaper, cheaper_outcome) = full, cheap
+    usable = (outcome == Outcome.HELD) & (cheaper_outcome == Outcome.HELD)
+    usable &= np.nan_to_num(observer.noise.sd(exact), nan=1.0).all(axis=-1)  # else known exactly
     slope = np.full((*exact.shape, contact.shape[-1]), np.nan)
-    slope[known] = observer.cue.jacobian(observer.whisker, contact[known])
-    known &= np.isfinite(slope).all(axis=(-2, -1))  # not so at the edge of what is held
-    contact, exact, off = contact[known], exact[known], (rough - exact)[known]
+    slope[usable] = observer.cue.jacobian(observer.whisker, contact[usable])
+    usable &= np.isfinite(slope).all(axis=(-2, -1))  # not so at the edge of what is held
+    contact, exact, off = contact[usable], exact[usable], (cheaper - exact)[usable]
     unit = np.maximum(np.abs(contact), 1e-12)
-    slope = slope[known] * unit[:, None]
+    slope = slope[usable] * unit[:, None]
     weight = np.swapaxes(slope, -1, -2) @ observer.noise.fisher(exact)
     prior = observer.prior_information(contact) * unit[:, None] * unit[..., None]
     inverse = np.linalg.pinv(weight @ slope + prior, rcond=1e-12, hermitian=True)

@@ -128,8 +128,8 @@ def modes(whisker: Whisker | Profile, count: int = 5) -> Modes:
         raise Refusal("count must be 1 to 12", count, "write count=5")
     size = 60 if np.sum(np.diff(profile.arc) > 0) == 1 else 70
     omega, vectors = ritz(profile, size, count)
-    coarse, _ = ritz(profile, 3 * size // 4, count)
-    error = np.abs(coarse / omega - 1) + 1e-12
+    fewer, _ = ritz(profile, 3 * size // 4, count)
+    error = np.abs(fewer / omega - 1) + 1e-12
     vectors = vectors * np.sign(basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
     return Modes(omega, error, vectors.T, profile)
 
@@ -147,14 +147,16 @@ def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
     return profile
 
 
-def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> tuple[Array, Array]:
-    """ω (count,) and shapes (size, count) of unit modal mass; pinned at the arc `held` if given."""
+def ritz(
+    profile: Profile, size: int, count: int, pinned: float | None = None
+) -> tuple[Array, Array]:
+    """ω (count,) and shapes (size, count) of unit modal mass; with an arc `pinned`, held there."""
     length = float(profile.whisker.length)
-    s, weight = gauss(profile.arc if held is None else np.append(profile.arc, held), size + 8)
+    s, weight = gauss(profile.arc if pinned is None else np.append(profile.arc, pinned), size + 8)
     bent, moved = basis(s / length, size, 2) / length**2, basis(s / length, size, 0)
     free = np.eye(size)
-    if held is not None:
-        free = null_space(basis(np.array([held / length]), size, 0).T)
+    if pinned is not None:
+        free = null_space(basis(np.array([pinned / length]), size, 0).T)
         bent, moved = free.T @ bent, free.T @ moved
     stiffness = (bent * (weight * profile.stiffness(s))) @ bent.T
     mass = (moved * (weight * profile.line_density(s))) @ moved.T

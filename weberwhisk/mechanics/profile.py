@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from .._util.checks import positive
 from .._util.values import Array, member
 from ..whisker import Whisker
-from .beam import Rows, resolve, zero_load
+from .beam import Beams, resolve, zero_load
 from .branches import Branches, extended, walk
 from .contact import TOLERANCE, Bending, FlickPast, Outcome
 from .equilibrium import (
@@ -33,7 +33,7 @@ from .equilibrium import (
     in_order,
     numbers_of,
     on_whisker,
-    press_rows,
+    press_beams,
     signal_error,
     signal_slopes,
 )
@@ -65,23 +65,23 @@ def bend(
     1.461915e-06 N m at 1.4289 degrees
     """
 
-    def solve(rows: Rows, s: Array, f: Array, psi: Array) -> Solved:
+    def solve(beams: Beams, s: Array, f: Array, psi: Array) -> Solved:
         n = s.size
         sign = np.where(f < 0, -1.0, 1.0)
         numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-        good = in_order(rows, s, on_whisker(rows, s))
+        good = in_order(beams, s, on_whisker(beams, s))
         s, f, psi, sign = np.minimum(s[good], 1.0), np.abs(f[good]), psi[good], sign[good]
-        path = resolve(rows.take(good).mirrored(sign), s, f, psi, tolerance)
+        path = resolve(beams.take(good).mirrored(sign), s, f, psi, tolerance)
         outcome[good] = np.select(
             [~(path.error <= np.maximum(tolerance, 1e-4)) | (path.flips > 1), path.flips == 1],
             [Outcome.FLICKED_PAST, Outcome.PAST_FOLD],
             Outcome.HELD,
         )
-        held = outcome[good] != Outcome.FLICKED_PAST
+        in_contact = outcome[good] != Outcome.FLICKED_PAST
         values = numbers_of(path.angle, path.lever, path.along, s, f, psi, sign)
-        numbers[:, good] = np.where(held, values, np.nan)
-        error[good] = np.where(held, signal_error(path, f, given_contact=False), np.nan)
+        numbers[:, good] = np.where(in_contact, values, np.nan)
+        error[good] = np.where(in_contact, signal_error(path, f, given_contact=False), np.nan)
         return numbers, outcome, error
 
     return by_rows(solve, whisker, length=arc_length, force=force, angle=friction_angle)
@@ -114,7 +114,7 @@ def press(
     >>> b.outcome
     array([0, 0, 2], dtype=int8)
     """
-    solve = partial(press_rows, tolerance=tolerance)
+    solve = partial(press_beams, tolerance=tolerance)
     return by_rows(
         solve, whisker, length=radial_distance, angle=deflection_angle, tilt=friction_angle
     )
@@ -141,14 +141,14 @@ def signal_jacobian(
     """
     scenes = Scenes.of(whisker, length=radial_distance, angle=deflection_angle, tilt=friction_angle)
     out = np.full((3, 2, scenes.length.size), np.nan)
-    for part, rows, (r, theta, psi) in scenes.pieces():
-        numbers, outcome, _ = press_rows(rows, r, theta, psi, tolerance)
-        held = np.flatnonzero(outcome == Outcome.HELD)
-        _, rest = zero_load(rows.take(held), r[held])
-        sign = np.where(theta[held] < rest, -1.0, 1.0)
-        s, f = numbers[6, held], numbers[7, held] * sign
-        path = resolve(rows.take(held).mirrored(sign), s, f, psi[held], tolerance)
-        out[..., part][..., held] = signal_slopes(path, f, sign)
+    for part, beams, (r, theta, psi) in scenes.pieces():
+        numbers, outcome, _ = press_beams(beams, r, theta, psi, tolerance)
+        in_contact = np.flatnonzero(outcome == Outcome.HELD)
+        _, rest = zero_load(beams.take(in_contact), r[in_contact])
+        sign = np.where(theta[in_contact] < rest, -1.0, 1.0)
+        s, f = numbers[6, in_contact], numbers[7, in_contact] * sign
+        path = resolve(beams.take(in_contact).mirrored(sign), s, f, psi[in_contact], tolerance)
+        out[..., part][..., in_contact] = signal_slopes(path, f, sign)
     return scenes.jacobian(out)
 
 
@@ -175,8 +175,8 @@ def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
     hint = "give metres, such as 35e-3"
     scenes = Scenes.of(whisker, length=positive("radial_distance", radial_distance, hint))
     angle = np.empty(scenes.length.size)
-    for part, rows, (distance,) in scenes.pieces():
-        angle[part] = zero_load(rows, distance)[1]
+    for part, beams, (distance,) in scenes.pieces():
+        angle[part] = zero_load(beams, distance)[1]
     return angle.reshape(scenes.shape)
 
 
@@ -204,13 +204,13 @@ def flick_past(
     at_end, at_peak = np.full((2, 8, n), np.nan)
     errors = np.full((2, n), np.nan)
     ended_by = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-    for part, rows, (distance, psi, sign) in scenes.pieces():
-        rows = rows.mirrored(sign)
-        start, _ = zero_load(rows, distance)
-        good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
+    for part, beams, (distance, psi, sign) in scenes.pieces():
+        beams = beams.mirrored(sign)
+        start, _ = zero_load(beams, distance)
+        good = np.flatnonzero(np.isfinite(start) & on_whisker(beams, start))
         if not good.size:
             continue
-        whiskers = extended(rows.take(good))
+        whiskers = extended(beams.take(good))
         branch = Branches.of(whiskers, distance[good], psi[good], tolerance=tolerance)
         ended = walk(branch, np.full(good.size, np.inf), peaks=True)
         which = np.arange(n)[part][good]
@@ -218,7 +218,9 @@ def flick_past(
             numbers[:, which], errors[i, which] = at_points(branch, point, sign[good])
         ended_by[which] = ended.outcome
     lost = ended_by == Outcome.OUT_OF_REACH
-    held = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
-    end, peak = (scenes.bending(n, held, e) for n, e in zip((at_end, at_peak), errors, strict=True))
+    outcome = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
+    end, peak = (
+        scenes.bending(n, outcome, e) for n, e in zip((at_end, at_peak), errors, strict=True)
+    )
     reason = member(Outcome, ended_by.reshape(scenes.shape))
     return FlickPast(end.deflection_angle, reason, end, peak)

@@ -25,7 +25,7 @@ from .._util.checks import finite, positive
 from .._util.refusals import Refusal
 from .._util.values import Array, Codes, Fields, Flags, Index, member
 from ..whisker import Whisker
-from .beam import CAUTION, ENDS, POINTS, STAGES, Piece, Rows, pilot, zero_load
+from .beam import CAUTION, ENDS, POINTS, STAGES, Beams, Piece, pilot, zero_load
 from .contact import TOLERANCE, Model, Outcome, friction
 from .equilibrium import ROUNDING, Scenes, on_whisker
 from .shape import Profile
@@ -117,7 +117,7 @@ def bend(
         whisker, friction_angle, plane, poisson_ratio, length=s, force=size, direction=turn
     )
     v = np.stack([arc, f * np.cos(chi), f * np.sin(chi)])
-    good = on_whisker(scenes.rows, v[0])
+    good = on_whisker(scenes.beams, v[0])
     outcome = np.where(good, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
     v[:, ~good] = [[0.5], [0.0], [0.0]]
     v[0] = np.minimum(v[0], 1.0)
@@ -169,21 +169,26 @@ def press(
     ended = np.flatnonzero((outcome == Outcome.FLICKED_PAST) & (scenes.friction != 0))
     if ended.size:
         slick = replace(scenes.take(ended), friction=np.zeros(ended.size))
-        held = slick.press(distance[ended], target[:, ended], far[ended])[1] == Outcome.HELD
-        outcome[ended[held]] = Outcome.STUCK
+        in_contact = slick.press(distance[ended], target[:, ended], far[ended])[1] == Outcome.HELD
+        outcome[ended[in_contact]] = Outcome.STUCK
     tolerance = 0.03 * tolerance  # towards the fold, errors of the pass grow in the signals
     base = scenes.resolve(v, tolerance)
-    held = outcome == Outcome.HELD
+    in_contact = outcome == Outcome.HELD
     for _ in range(6):
         off, _ = scenes.newton(v, distance * target, base.steps)
-        v = np.where(held, v + off, v)
+        v = np.where(in_contact, v + off, v)
         v[0] = np.minimum(v[0], 1.0)
-        if np.max(np.abs(off[:, held]) / scenes.scale(distance)[:, held], initial=0.0) < 1e-11:
+        if (
+            np.max(np.abs(off[:, in_contact]) / scenes.scale(distance)[:, in_contact], initial=0.0)
+            < 1e-11
+        ):
             break
     base = scenes.resolve(v, tolerance)
     error = np.full(distance.size, np.nan)
-    at, found = scenes.take(np.flatnonzero(held)), base.take(held)
-    error[held] = found.signal_error(at.moved(v[:, held], (distance * target)[:, held], found))
+    at, base_path = scenes.take(np.flatnonzero(in_contact)), base.take(in_contact)
+    error[in_contact] = base_path.signal_error(
+        at.moved(v[:, in_contact], (distance * target)[:, in_contact], base_path)
+    )
     return _result(scenes, v, base, outcome, error)
 
 
@@ -231,8 +236,8 @@ class Base:
 
     def take(self, index: Index | Flags) -> Base:
         """The rods at `index`."""
-        some: dict[str, Any] = {k: v[..., index] for k, v in vars(self).items() if k != "steps"}
-        return replace(self, **some)
+        arrays: dict[str, Any] = {k: v[..., index] for k, v in vars(self).items() if k != "steps"}
+        return replace(self, **arrays)
 
     def seen(self, vector: Array) -> Array:
         """A vector of the contact's frame in the base frame, (3, n)."""
@@ -255,11 +260,11 @@ class Base:
         turned = np.concatenate([3 * [force], 3 * [moment + arm * force]])
         with np.errstate(all="ignore"):
             wrong = turned * (self.error + ROUNDING) + off
-            parts = [
+            errors = [
                 np.hypot(wrong[k], wrong[m]) / np.maximum(np.hypot(now[k], now[m]), 1e-3 * whole)
                 for k, m, whole in ((0, 0, force), (1, 2, force), (3, 3, moment), (4, 5, moment))
             ]
-            error = np.max(parts, axis=0)
+            error = np.max(errors, axis=0)
         # No load, no signals to be wrong.
         return np.asarray(np.minimum(np.where(force == 0, self.error, error), 1.0))
 
@@ -268,7 +273,7 @@ class Base:
 class RodScenes:
     """Rods and their friction and rolled planes, flat and in natural units."""
 
-    rows: Rows
+    beams: Beams
     shape: tuple[int, ...]
     length: Array
     force: Array
@@ -295,13 +300,13 @@ class RodScenes:
             )
         made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **contact)
         psi, turn, *given = made.given
-        flat = made.rows, made.shape, made.length, made.force, psi, turn
+        flat = made.beams, made.shape, made.length, made.force, psi, turn
         return cls(*flat, 1 + poisson_ratio, made.whisker), given
 
     def take(self, index: Index) -> RodScenes:
-        own = vars(self).items()
-        some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
-        return replace(self, rows=self.rows.take(index), shape=(index.size,), **some)
+        each = vars(self).items()
+        arrays: dict[str, Any] = {k: v[index] for k, v in each if isinstance(v, np.ndarray)}
+        return replace(self, beams=self.beams.take(index), shape=(index.size,), **arrays)
 
     def follow(self, v: Array, steps: int) -> Base:
         """The rods at v = (arc, force along d₁, along d₂), in `steps` steps a piece."""
@@ -314,11 +319,11 @@ class RodScenes:
         state[0] = state[4] = state[8] = 1.0
         slopes = np.zeros((STAGES, 12, n))
         error, bent = np.zeros(n), np.full(n, 1e-3)
-        for piece in range(len(self.rows.arc) - 2, -1, -1):
-            low, high = self.rows.arc[piece], np.minimum(self.rows.arc[piece + 1], v[0])
+        for piece in range(len(self.beams.arc) - 2, -1, -1):
+            low, high = self.beams.arc[piece], np.minimum(self.beams.arc[piece + 1], v[0])
             if not np.any(high > low):
                 continue
-            path = Piece(self.rows, piece, low, np.maximum(high, low), steps)
+            path = Piece(self.beams, piece, low, np.maximum(high, low), steps)
             for step in range(steps):
                 weight, give, curl = path.at(step)
                 for i, share in enumerate(POINTS):
@@ -354,19 +359,19 @@ class RodScenes:
 
     def resolve(self, v: Array, tolerance: float) -> Base:
         """`follow` with steps enough for every row, up to 128."""
-        steps = 2 * pilot(self.rows)
+        steps = 2 * pilot(self.beams)
         while True:
             with np.errstate(all="ignore"):
                 base = self.follow(v, steps)
             worst = float(np.max(base.error, initial=0.0))
             if worst <= tolerance or steps >= 128:
                 return base
-            wanted = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 8)
-            steps = int(np.clip(np.ceil(wanted), steps + 2, 128))
+            count = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 8)
+            steps = int(np.clip(np.ceil(count), steps + 2, 128))
 
     def scale(self, distance: Array) -> Array:
         """Sizes of v at which everything changes by its own order."""
-        room = np.maximum(1 - distance * (1 - self.rows.radius[-1] / self.rows.radius[0]), 1e-4)
+        room = np.maximum(1 - distance * (1 - self.beams.radius[-1] / self.beams.radius[0]), 1e-4)
         stiff = 3 * room / distance**2
         return np.stack([distance, stiff, stiff])
 
@@ -407,7 +412,7 @@ class RodScenes:
         proportion to |f|: slopes · v + cusp · |f| = pace, a quadratic in |f|. Zero where stuck.
         """
         there = distance * np.eye(3)[:, [0]]  # slopes do not depend on the target
-        ahead, behind = (self._slopes(v, there, 2 * pilot(self.rows), h)[1] for h in (-1e-6, 1e-6))
+        ahead, behind = (self._slopes(v, there, 2 * pilot(self.beams), h)[1] for h in (-1e-6, 1e-6))
         slopes, cusp = (ahead + behind) / 2, (ahead - behind)[:, :, 1].T / 2
         with np.errstate(all="ignore"):
             inverse = np.linalg.pinv(slopes)
@@ -432,11 +437,11 @@ class RodScenes:
         """
         n = distance.size
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-        start, _ = zero_load(self.rows, distance)
+        start, _ = zero_load(self.beams, distance)
         v = np.stack([np.nan_to_num(start, nan=0.5), np.zeros(n), np.zeros(n)])
-        good = np.isfinite(start) & on_whisker(self.rows, np.nan_to_num(start, nan=2.0))
+        good = np.isfinite(start) & on_whisker(self.beams, np.nan_to_num(start, nan=2.0))
         outcome[good] = Outcome.FLICKED_PAST
-        x, y = self.rows.law.point(v[0]) if self.rows.law else (v[0], np.zeros(n))
+        x, y = self.beams.law.point(v[0]) if self.beams.law else (v[0], np.zeros(n))
         r = np.hypot(x, y)
         rest = np.stack([x, y * np.cos(self.plane), y * np.sin(self.plane)]) / r
         across = target - rest * (rest * target).sum(axis=0)
@@ -466,7 +471,7 @@ class RodScenes:
             here = guess.copy()
             wide = 1e3 * scale
             for _ in range(4):
-                move, det = part.newton(here, goal, 2 * pilot(self.rows))
+                move, det = part.newton(here, goal, 2 * pilot(self.beams))
                 here = np.clip(here + np.nan_to_num(move, posinf=np.inf), -wide, wide)
                 # No further than the tip, where an arc has slopes on this side only.
                 beyond = here[0] - 1

@@ -90,8 +90,8 @@ class Spiral(Value):
             off = (at[0] + 1j * at[1]) * np.exp(1j * place[0]) + place[1] + 1j * place[2] - unit
             return np.concatenate([off.real, off.imag])
 
-        found = least_squares(miss, [0.0, 0.0, np.angle(unit[1]), 0.0, 0.0])
-        return cls(*found.x[:2]).scaled(1 / arc[-1])
+        solution = least_squares(miss, [0.0, 0.0, np.angle(unit[1]), 0.0, 0.0])
+        return cls(*solution.x[:2]).scaled(1 / arc[-1])
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
@@ -379,9 +379,10 @@ class Profile(Value):
 
 
 def bent_shape(
-    profile: Profile, arc: Array, held: float, force: float, friction_angle: float = 0.0
+    profile: Profile, arc: Array, contact_arc: float, force: float, friction_angle: float = 0.0
 ) -> Array:
-    """Tangent angle, x and y (3, n) at arcs (n,), ascending, of a whisker with a force at `held`.
+    """Tangent angle, x and y (3, n) at arcs (n,), ascending, of a whisker with a force at
+    `contact_arc`.
 
     In the frame of the base; by SciPy's DOP853 from the contact to the base, at rest beyond it.
     """
@@ -395,13 +396,18 @@ def bent_shape(
         bend = moment / float(profile.stiffness(s)) + float(profile.law(np.array(s)))
         return [bend, np.cos(angle), np.sin(angle)]
 
-    near, law = arc[arc <= held], profile.law
-    found = solve_ivp(
-        rates, (held, 0.0), [0.0, 0.0, 0.0], "DOP853", near[::-1], rtol=1e-9, atol=1e-12
+    near, law = arc[arc <= contact_arc], profile.law
+    inner = solve_ivp(
+        rates, (contact_arc, 0.0), [0.0, 0.0, 0.0], "DOP853", near[::-1], rtol=1e-9, atol=1e-12
     ).y[:, ::-1]
-    own, far = (np.array([law.turn(s), *law.point(s)]) for s in (np.array([held]), arc[arc > held]))
-    turned = ((far[1] - own[1]) + 1j * (far[2] - own[2])) * np.exp(-1j * own[0])
-    beyond = np.array([far[0] - own[0], turned.real, turned.imag])
-    angle, x, y = np.concatenate([found, beyond], axis=1)
+    at_contact, far = (
+        np.array([law.turn(s), *law.point(s)])
+        for s in (np.array([contact_arc]), arc[arc > contact_arc])
+    )
+    turned = ((far[1] - at_contact[1]) + 1j * (far[2] - at_contact[2])) * np.exp(
+        -1j * at_contact[0]
+    )
+    beyond = np.array([far[0] - at_contact[0], turned.real, turned.imag])
+    angle, x, y = np.concatenate([inner, beyond], axis=1)
     based = (x - x[0] + 1j * (y - y[0])) * np.exp(-1j * angle[0])
     return np.array([angle - angle[0], based.real, based.imag])

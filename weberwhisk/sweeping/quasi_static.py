@@ -142,7 +142,7 @@ def sweep(
         )
     first = contact.first(float(angles[0]), float(angles[-1]))
     n = angles.size
-    found = np.tile([[1e-3], [0.0], [0.0]], n)  # arc, force, tilt
+    contacts = np.tile([[1e-3], [0.0], [0.0]], n)  # arc, force, tilt
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
     tip = np.zeros(n, dtype=bool)
     ended, end, begin = Outcome.OUT_OF_REACH, np.nan, np.nan
@@ -161,15 +161,15 @@ def sweep(
             if ended is not Outcome.HELD:
                 outcome[k:] = ended
                 break
-            found[:, k] = (1.0, v[1], v[0]) if touch.tip else (min(v[0], 1.0), v[1], 0.0)
+            contacts[:, k] = (1.0, v[1], v[0]) if touch.tip else (min(v[0], 1.0), v[1], 0.0)
             outcome[k], tip[k] = Outcome.HELD, touch.tip
         end = now if ended is not Outcome.HELD else np.nan
     base = profile.whisker
-    force = np.maximum(found[1], 0.0) * base.force_scale
-    b = bend(profile, found[0] * base.length, force, found[2] + friction_angle)
-    held = outcome == Outcome.HELD
+    force = np.maximum(contacts[1], 0.0) * base.force_scale
+    b = bend(profile, contacts[0] * base.length, force, contacts[2] + friction_angle)
+    in_contact = outcome == Outcome.HELD
     numbers: dict[str, Any] = {
-        name: np.where(held, getattr(b, name), np.nan) for name in (*NUMBERS, "error")
+        name: np.where(in_contact, getattr(b, name), np.nan) for name in (*NUMBERS, "error")
     }
     b = replace(b, **numbers, outcome=member(Outcome, outcome))
     turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)

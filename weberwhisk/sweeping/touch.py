@@ -14,7 +14,7 @@ import numpy as np
 from .._util.refusals import Refusal
 from .._util.values import Array
 from ..mechanics import Outcome, Profile
-from ..mechanics.beam import follow, pilot, rows_of
+from ..mechanics.beam import beams_of, follow, pilot
 from ..mechanics.shape import bent_shape
 from .objects import Body
 
@@ -47,7 +47,7 @@ class TouchedBody:
     """
 
     def __init__(self, profile: Profile, body: Body, friction: float, translates: bool) -> None:
-        self.profile, self.rows = profile, rows_of(profile, (1,))
+        self.profile, self.beams = profile, beams_of(profile, (1,))
         self.translates = translates
         length = float(profile.whisker.length)
         self.corners, self.radius = body.corners / length, body.radius / length
@@ -78,9 +78,9 @@ class TouchedBody:
         m = v.shape[1]
         arc = np.ones(m) if touch.tip else np.minimum(v[0], 1.0)
         tilt = v[0] if touch.tip else np.zeros(m)
-        rows = self.rows.take(np.zeros(m, dtype=int))
+        beams = self.beams.take(np.zeros(m, dtype=int))
         with np.errstate(all="ignore"):
-            path = follow(rows, arc, np.abs(v[1]), tilt + self.friction, 5 * pilot(rows))
+            path = follow(beams, arc, np.abs(v[1]), tilt + self.friction, 5 * pilot(beams))
         angle, (c, s) = path.angle, (np.cos(path.angle), np.sin(path.angle))
         x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
         return x, y, angle - self.friction
@@ -118,33 +118,38 @@ class TouchedBody:
                 return TouchSolution(v, float(np.sign(det)), force)
         return None
 
-    def next_touch(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
+    def next_touch(
+        self, touch: Touch, solution: TouchSolution, at: float
+    ) -> Touch | Outcome | None:
         """None if this touch is valid, else the touch that follows or the outcome that ends it."""
-        first, force = found.point
+        first, force = solution.point
         if not touch.tip and first > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
         if force < -1e-9:
             return Outcome.OUT_OF_REACH
         if touch.tip and first < -1e-9:
             return Touch(False)
-        twice = self.rows.law and self._overlap(touch, found, at) > OVERLAP
+        twice = self.beams.law and self._overlap(touch, solution, at) > OVERLAP
         return Outcome.TOUCHES_TWICE if twice else None
 
-    def _overlap(self, touch: Touch, found: TouchSolution, at: float) -> float:
+    def _overlap(self, touch: Touch, solution: TouchSolution, at: float) -> float:
         """Depth of the deepest part of the bent whisker in the object, in lengths."""
-        v, whisker = found.point, self.profile.whisker
-        held = (1.0 if touch.tip else min(float(v[0]), 1.0)) * float(whisker.length)
+        v, whisker = solution.point, self.profile.whisker
+        contact_arc = (1.0 if touch.tip else min(float(v[0]), 1.0)) * float(whisker.length)
         tilt = self.friction + (float(v[0]) if touch.tip else 0.0)
-        push = abs(found.force) * float(whisker.force_scale)
-        ends = np.linspace(0, held, 200), np.linspace(held, float(whisker.length), 100)
+        push = abs(solution.force) * float(whisker.force_scale)
+        ends = (
+            np.linspace(0, contact_arc, 200),
+            np.linspace(contact_arc, float(whisker.length), 100),
+        )
         arc = np.unique(np.concatenate(ends))
-        _, x, y = bent_shape(self.profile, arc, held, push, tilt) / float(whisker.length)
+        _, x, y = bent_shape(self.profile, arc, contact_arc, push, tilt) / float(whisker.length)
         return self.depth(x, y, at)
 
     def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
         """Pose in the range, touch and start of the first contact, the whisker at rest."""
         s = np.linspace(0, 1, 4001)
-        x, y = self.rows.law.point(s) if self.rows.law else (s, np.zeros_like(s))
+        x, y = self.beams.law.point(s) if self.beams.law else (s, np.zeros_like(s))
         if self.depth(x, y, begin) > OVERLAP:
             raise Refusal(
                 "The whisker must start clear of the object",
@@ -170,7 +175,7 @@ class TouchedBody:
         glancing = None  # a curved flank on an edge that touches between two points of the table
         for at in np.flatnonzero(needed <= first + 1e-10):
             arc = float(np.interp(out[at], along[:top], s[:top]))
-            tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
+            tangent = float(self.beams.law.turn(np.array([arc]))[0]) if self.beams.law else 0.0
             x, y = places[:, at] - self.corners[0]
             edge = self.edge if self.is_wall else np.arctan2(-x, y)
             tilt = float(_turn(edge + turned - tangent))
