@@ -1,4 +1,4 @@
-"""Which cases of a parametrised test run at once, and which with the slow ones."""
+"""Which cases of a parametrised test are short, and which full length and so slow."""
 
 from __future__ import annotations
 
@@ -14,11 +14,6 @@ def slow_but(values: Iterable[Any], quick: Container[int]) -> list[Any]:
         v if i in quick else pytest.param(*_each(v), marks=pytest.mark.slow)
         for i, v in enumerate(values)
     ]
-
-
-def short_or_full(name: str, short: Any, full: Any) -> pytest.MarkDecorator:
-    """A parameter that is small at once, and full-length with the slow tests."""
-    return pytest.mark.parametrize(name, [short, pytest.param(full, marks=pytest.mark.slow)])
 
 
 def _each(value: Any) -> tuple[Any, ...]:

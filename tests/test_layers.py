@@ -125,7 +125,6 @@ def heavy_after_import(package: Path) -> list[str]:
     return ended.stdout.split()
 
 
-@pytest.mark.once
 def test_imports_go_up_the_table() -> None:
     assert offences(PACKAGE) == []
 

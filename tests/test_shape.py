@@ -31,7 +31,6 @@ def test_files_import_one_way() -> None:
     assert [circle for circle in circles if circle not in CIRCLES] == []
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("call", DEEPEST)
 def test_calls_do_not_go_deeper(call: str) -> None:
     walk = shape.walk(PACKAGE, call)

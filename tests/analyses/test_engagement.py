@@ -9,7 +9,6 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from short_forms import short_or_full
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,7 +33,7 @@ def test_simulated_states_last_and_are_shared(study: ModuleType, kind: str) -> N
     assert np.mean(np.diff(study.states_of(kind, 5000, rng)) != 0) < 0.1
 
 
-@short_or_full("sets", 2, 30)
+@pytest.mark.parametrize("sets", [2, pytest.param(30, marks=pytest.mark.slow)])
 def test_states_hold_what_one_state_misses(study: ModuleType, sets: int) -> None:
     table = pd.DataFrame([study.row("reset", 300, seed) for seed in range(sets)])
     held = table["states_lower"].lt(study.K) & table["states_upper"].gt(study.K)

@@ -64,7 +64,6 @@ def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
         assert table.loc["weber", "bad_k"] == 0
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     ("made_by", "best"), [("weber", "Weber noise"), ("constant", "constant noise")]
 )
@@ -86,7 +85,6 @@ def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
     assert found.report().startswith(best)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(("drift", "best"), [(0.0, "stationary"), (-1.6, "drifting")])
 def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
     trials = simulate_trials(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 import scipy
 from scipy import stats
 
@@ -60,7 +59,6 @@ def test_a_whisker_is_described() -> None:
     assert "receptors LogNormal. " in text
 
 
-@pytest.mark.once
 def test_a_population_is_described() -> None:
     found = ww.fit_population(_read("animals_six.csv"))
     text = found.methods()

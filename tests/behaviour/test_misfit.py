@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from short_forms import short_or_full, slow_but
+from short_forms import slow_but
 
 from weberwhisk._util.refusals import argument, call
 from weberwhisk.behaviour import (
@@ -78,7 +78,9 @@ def test_options_of_a_fit_stay_in_what_is_advised() -> None:
     assert "--bias none --noise equal-variance --states 3" in as_options(fit.report())
 
 
-@short_or_full("more", [], [effects.Contraction()])
+@pytest.mark.parametrize(
+    "more", [[], pytest.param([effects.Contraction()], marks=pytest.mark.slow)]
+)
 def test_effects_with_arguments_are_advised_as_they_are_typed(more: list[effects.Effect]) -> None:
     trials = animal("MISFIT_STREAKS")
     trials = Trials(trials.frame.assign(laser=np.arange(len(trials.frame)) % 2), trials.task)

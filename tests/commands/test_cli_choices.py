@@ -31,7 +31,6 @@ def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> N
     assert result == answer(capsys, "jnd", *SOFT, *scene)
 
 
-@pytest.mark.once
 def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = [*SOFT, "--cue", "moment", "--deflection-angle-deg", "5"]
     out = tmp_path / "out"
@@ -41,7 +40,6 @@ def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert found["lower"] < 0.1 < found["upper"]
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     "scene",
     [
@@ -116,7 +114,6 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     )
 
 
-@pytest.mark.once
 def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

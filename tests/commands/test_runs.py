@@ -210,7 +210,6 @@ def whole(out: Path) -> float:
     return float(value)
 
 
-@pytest.mark.once
 @pytest.mark.skipif(sys.platform == "win32", reason="no lock on folders there")
 @pytest.mark.parametrize("there", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_two_runs_at_once_leave_one_of_the_two(tmp_path: Path, there: bool) -> None:

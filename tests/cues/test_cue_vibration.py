@@ -6,7 +6,6 @@ from analysis_scripts import load
 from cue_checks import agrees_with_brute_force, keeps_the_protocol, small_noise_limit
 from scipy import stats
 from scipy.optimize import brentq
-from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
@@ -144,7 +143,10 @@ def test_laplace_says_that_there_are_more_peaks_than_its_own(divided):
     assert not np.any(p.status[~apart] == Status.SEVERAL_PEAKS)
 
 
-@short_or_full("scenes", [(2, 0.1, 2)], [(2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)])
+@pytest.mark.parametrize(
+    "scenes",
+    [[(2, 0.1, 2)], pytest.param([(2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)], marks=pytest.mark.slow)],
+)
 def test_walkers_jump_from_peak_to_peak_or_say_why_not(scenes):
     """Converged, they are right; what a sample may well not see is said to be there."""
     for count, k, size in scenes:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import norm
-from short_forms import short_or_full
 
 from weberwhisk import Observer, Whisker, plan_experiment, plots, read_plan
 from weberwhisk._util.output import csv_text
@@ -238,7 +237,7 @@ def test_goals_and_animals_that_make_no_sense_are_refused(
 # -- the size ------------------------------------------------------------------------------------
 
 
-@short_or_full("runs", 24, 48)
+@pytest.mark.parametrize("runs", [24, pytest.param(48, marks=pytest.mark.slow)])
 def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
     """As few as reach it, even in number; the power of the plan says so, and half as many do not.
 

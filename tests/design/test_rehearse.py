@@ -11,7 +11,6 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import beta, lognorm, norm
-from short_forms import short_or_full
 
 from weberwhisk import Whisker, plan_experiment, simulate_study
 from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
@@ -129,7 +128,7 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
     assert "less than the 80 % asked for" in found.report()
 
 
-@short_or_full("animals", 30, 60)
+@pytest.mark.parametrize("animals", [30, pytest.param(60, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth_as_often_as_they_say(animals: int) -> None:
     """Animals drawn from the very priors of the fit.
 

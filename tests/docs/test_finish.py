@@ -27,7 +27,6 @@ from weberwhisk.recordings import methods_paragraph
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.once
 def test_a_population_has_its_report() -> None:
     fit = ww.fit_population(ww.simulate_population(3, trials_per_level=10, seed=1)[0])
     lines = fit.report().splitlines()
@@ -196,7 +195,6 @@ def test_workflows_cover_what_is_supported() -> None:
     assert ".ci/lowest" in workflow
 
 
-@pytest.mark.once
 def test_nothing_is_of_one_system_alone() -> None:
     """No module or call that Windows lacks, and no text read or written in a locale's encoding."""
     modules = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"}

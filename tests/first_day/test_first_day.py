@@ -9,7 +9,6 @@ import pytest
 from first_day import play
 
 
-@pytest.mark.once
 def test_four_users_get_what_they_came_for(tmp_path: Path) -> None:
     day = play.Day(Path(sys.executable), tmp_path)
     play.own_choices(day)

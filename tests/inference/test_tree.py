@@ -16,7 +16,7 @@ from audit import (
 )
 from scipy import stats
 from scipy.special import logit, logsumexp
-from short_forms import short_or_full, slow_but
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Status, cues
@@ -440,7 +440,7 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     assert np.allclose(measured.mean, exact.mean, atol=1e-6 * exact.sd)
 
 
-@short_or_full("count", 12, 40)
+@pytest.mark.parametrize("count", [12, pytest.param(40, marks=pytest.mark.slow)])
 def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     """Beyond the memory that is set there are those of one step, and of one reading at the most."""
     split, most = tree.Tree._split, []

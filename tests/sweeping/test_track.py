@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -67,7 +66,7 @@ def test_a_wall_is_followed_from_where_its_flank_touches():
     assert np.isnan(lost.radial_distance).all()
 
 
-@short_or_full("steps", 15, 24)
+@pytest.mark.parametrize("steps", [15, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("curvature", "friction"), [(8.0, -0.3), (-20.0, 0.0)])
 def test_curved_and_rubbing_whiskers_are_followed(curvature, friction, steps):
     """On their convex and their concave side, by the moments of the planar beam."""
