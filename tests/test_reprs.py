@@ -69,7 +69,7 @@ def objects() -> list[Any]:
         behaviour.IdentityEncoding(), behaviour.CueEncoding(observer, unit=third),
         *behaviour.TASKS.values(), *effects.EFFECTS.values(),
         behaviour.weber_law_test(ww.fit_weber(two)), ww.compare({"a": fit, "b": fit}),
-        behaviour.Priors(), *hypotheses, design.Goal(bayes_factor=third * 1e2),
+        behaviour.Priors(), *hypotheses, design.Evidence(bayes_factor=third * 1e2),
         design.Constraints(step=third), design.SubjectPopulation(third),
         design.Session(placer, None), placer.next(),
         ww.jnd_curve(observer, [10e-3, 20e-3], n_readings=4, seed=1), recordings.HingedTap(),

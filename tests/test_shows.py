@@ -22,7 +22,7 @@ from nbclient import NotebookClient
 
 import weberwhisk as ww
 from weberwhisk._util.values import Shown, with_units
-from weberwhisk.design import Goal, Plan, Scheme, taper
+from weberwhisk.design import Evidence, Plan, Scheme, taper
 from weberwhisk.inference.coordinates import UNITS
 
 matplotlib.use("agg")
@@ -84,7 +84,7 @@ def results() -> dict[str, Any]:
         "contacts": ww.press(W, [[20e-3], [30e-3]], np.linspace(0.01, 0.4, 20)),
         "lost": ww.press(W, 60e-3, 0.2),
         "power": ww.power(scheme, pair, trials=[5, 10], truths=["tapered"], runs=8, seed=1),
-        "study": ww.simulate_study(Plan(scheme, pair, Goal(bayes_factor=10)), 2, seed=1),
+        "study": ww.simulate_study(Plan(scheme, pair, Evidence(bayes_factor=10)), 2, seed=1),
     }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ import pandas as pd
 import weberwhisk as ww
 from weberwhisk import plots
 from weberwhisk.behaviour import CueEncoding
-from weberwhisk.design import Goal, SubjectPopulation
+from weberwhisk.design import Evidence, Precision, SubjectPopulation
 from weberwhisk.design.plan_file import preregistration
 from weberwhisk.recordings.tables import load_table
 
@@ -148,7 +148,7 @@ def plan(fields: Fields) -> Shown:
     width = fields["goal"] == "interval"
     made = ww.plan_experiment(
         _whisker(fields),
-        goal=Goal(half_width=0.2) if width else Goal(bayes_factor=10.0),
+        goal=Precision(half_width=0.2) if width else Evidence(bayes_factor=10.0),
         standards=[float(s) * 1e-3 for s in fields["standards_mm"].replace(",", " ").split()]
         or None,
         trials=int(fields["trials"]),

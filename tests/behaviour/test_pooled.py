@@ -13,7 +13,7 @@ from weberwhisk.behaviour import (
     task_named,
 )
 from weberwhisk.behaviour.encodings import Encoding
-from weberwhisk.design import Goal, Hypothesis, Plan, Scheme
+from weberwhisk.design import Evidence, Hypothesis, Plan, Scheme
 from weberwhisk.design.plan_file import _reader, plain, preregistration
 from weberwhisk.sensitivity import weber_propagation
 
@@ -125,7 +125,7 @@ def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
     """One stimulus a trial in the lists; hits and false alarms as the simulated animal has them."""
     both = [Hypothesis(h.name, h.encoding, task="go/no-go") for h in looks]
     scheme = Scheme([20e-3], [-4e-3, 2e-3, 4e-3], 100)
-    plan = Plan(scheme, both, Goal(bayes_factor=10))
+    plan = Plan(scheme, both, Evidence(bayes_factor=10))
     assert (plan.trials["stimulus_1_mm"] == 20).all()
     assert ((plan.trials["greater"] == 2) == (plan.trials["stimulus_2_mm"] > 20)).all()
     assert plan.trials["level"].value_counts().tolist() == [100] * 3

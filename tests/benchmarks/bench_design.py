@@ -26,7 +26,7 @@ import numpy as np
 import weberwhisk as ww
 from weberwhisk.behaviour import fit_weber, simulate_trials
 from weberwhisk.design import Hypothesis, Scheme, SubjectPopulation, power, smallest, taper
-from weberwhisk.design.experiments import compare, simulate
+from weberwhisk.design.simulation import compare, simulate
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLACES = [15e-3, 30e-3, 45e-3]

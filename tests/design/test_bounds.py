@@ -12,8 +12,17 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.commands import experiments
-from weberwhisk.design import Goal, Scheme, SubjectPopulation, plan_experiment, power, taper
-from weberwhisk.design.best import fewest_animals, known_half_widths, trials_needed
+from weberwhisk.design import (
+    Evidence,
+    Goal,
+    Precision,
+    Scheme,
+    SubjectPopulation,
+    plan_experiment,
+    power,
+    taper,
+)
+from weberwhisk.design.bounds import fewest_animals, least_half_widths
 
 PAIR = taper(ww.Whisker.from_identity("C2"))
 PLACES = [10e-3, 20e-3, 30e-3]
@@ -23,10 +32,10 @@ PLACES = [10e-3, 20e-3, 30e-3]
     ("options", "remedy"),
     [
         (
-            {"goal": Goal(half_width=0.2), "animals": 4},
+            {"goal": Precision(half_width=0.2), "animals": 4},
             r"write animals=\d+ or more, or half_width=",
         ),
-        ({"goal": Goal(half_width=0.02)}, r"k to ±2 %, which takes 28\d\d trials a compar"),
+        ({"goal": Precision(half_width=0.02)}, r"k to ±2 %, which takes 28\d\d trials a compar"),
         ({"standards": [5e-3, 6e-3]}, "tapered discriminated from cylindrical, which takes"),
     ],
 )
@@ -44,29 +53,27 @@ def test_more_trials_do_not_pass_the_bound_of_the_animals() -> None:
     expected = SubjectPopulation()
     scheme = Scheme.spaced(PAIR[0].encoding, PLACES, trials=200, animals=4)
     fitted = power(scheme, PAIR[:1], runs=48, seed=1).table.iloc[0]
-    known = known_half_widths(PAIR[0], expected, 4)
+    known = least_half_widths(PAIR[0], expected, 4)
     assert 0.95 * np.median(known) < fitted["half_width"] < 1.3 * np.median(known)
     assert fitted["power"] < 0.2
 
 
 def test_the_remedies_of_the_bound_pass_it() -> None:
-    goal, expected = Goal(half_width=0.2), SubjectPopulation()
-    fewest = fewest_animals(PAIR[0], expected, goal)
+    goal, expected = Precision(half_width=0.2), SubjectPopulation()
+    fewest = fewest_animals(PAIR[0], expected, goal.half_width, share=goal.share)
     assert fewest is not None
-    share = [(known_half_widths(PAIR[0], expected, n) < 0.2).mean() for n in (fewest - 1, fewest)]
+    share = [(least_half_widths(PAIR[0], expected, n) < 0.2).mean() for n in (fewest - 1, fewest)]
     assert share[0] < goal.share <= share[1]
-    assert fewest_animals(PAIR[0], SubjectPopulation(spread=3.0), goal) is None
+    assert fewest_animals(PAIR[0], SubjectPopulation(spread=3.0), 0.2, share=0.8) is None
 
 
-@pytest.mark.parametrize(
-    ("hypotheses", "goal"), [(PAIR[:1], Goal(half_width=0.2)), (PAIR, Goal(bayes_factor=10))]
-)
+@pytest.mark.parametrize(("hypotheses", "goal"), [(PAIR[:1], Precision(0.2)), (PAIR, Evidence(10))])
 def test_the_information_of_trials_is_no_more_than_simulation_finds(
     hypotheses: Any, goal: Goal
 ) -> None:
     """With as many trials as it demands less than the goal's share reaches the goal."""
     scheme = Scheme.spaced(PAIR[0].encoding, PLACES)
-    needed, _ = trials_needed(scheme, hypotheses, goal, SubjectPopulation())
+    needed, _ = goal.trials_needed(scheme, hypotheses, SubjectPopulation())
     few, many = max(int(needed), 1), 4 * int(np.ceil(needed))
     found = power(scheme, hypotheses, goal=goal, trials=[few, many], runs=256, seed=1)
     least = found.table.groupby("trials")[["upper", "lower"]].min()
@@ -106,10 +113,10 @@ def test_the_question_decides_hypotheses_and_goal() -> None:
         "weber-law": ["Weber noise", "constant noise"],
         "precision": ["expected observer"],
     }
-    assert plans["precision"].goal == Goal(half_width=0.2)
-    assert plans["weber-law"].goal == Goal(bayes_factor=10)
+    assert plans["precision"].goal == Precision(half_width=0.2)
+    assert plans["weber-law"].goal == Evidence(bayes_factor=10)
     with pytest.raises(ValueError, match=r"'precision' is not answered by a Bayes factor above 3"):
-        plan_experiment("C2", question="precision", goal=Goal(bayes_factor=3))
+        plan_experiment("C2", question="precision", goal=Evidence(bayes_factor=3))
     with pytest.raises(ValueError, match="Hypotheses have their question"):
         plan_experiment("C2", question="whiskers", hypotheses=PAIR)
 

@@ -12,14 +12,15 @@ from weberwhisk.behaviour import CueEncoding
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.design import (
     Constraints,
-    Goal,
+    Evidence,
+    Precision,
     Scheme,
     SubjectPopulation,
     best_scheme,
     noises,
     taper,
 )
-from weberwhisk.design.experiments import compare, simulate
+from weberwhisk.design.simulation import compare, simulate
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -30,7 +31,7 @@ TAPERED, CYLINDRICAL = taper(WHISKER)
 
 @pytest.mark.parametrize(
     ("goal", "least"),
-    slow_but([(Goal(bayes_factor=10), 1.0), (Goal(half_width=0.2), 0.02)], (0,)),
+    slow_but([(Evidence(bayes_factor=10), 1.0), (Precision(half_width=0.2), 0.02)], (0,)),
 )
 def test_the_best_scheme_reaches_more_than_even_standards(goal, least):
     """In 80 % of experiments of another seed, fitted as data are: nats, or ln of the width."""
@@ -43,7 +44,7 @@ def test_the_best_scheme_reaches_more_than_even_standards(goal, least):
     for scheme in (found, plain):
         counts, _ = simulate(TAPERED, scheme, SubjectPopulation(), 512, np.random.default_rng(9))
         factor, own = compare(hypotheses, "tapered", scheme, counts)
-        one = factor if goal.half_width is None else -np.log(own.half_width)
+        one = factor if goal.column == "log_bayes_factor" else -np.log(own.half_width)
         reached[scheme] = np.quantile(one, 0.2)
     assert reached[found] > reached[plain] + least
 

@@ -20,9 +20,10 @@ from weberwhisk.behaviour.encodings import Encoding
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
     Constraints,
-    Goal,
+    Evidence,
     Hypothesis,
     Plan,
+    Precision,
     Scheme,
     SubjectPopulation,
     cues,
@@ -78,7 +79,7 @@ def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path)
     ids=["taper", "cues", "noises"],
 )
 def test_any_hypotheses_come_back_with_their_plan(hypotheses: tuple[Hypothesis, ...]) -> None:
-    plan = Plan(Scheme([10e-3, 20e-3], [-1e-3, 1e-3]), hypotheses, Goal(bayes_factor=3))
+    plan = Plan(Scheme([10e-3, 20e-3], [-1e-3, 1e-3]), hypotheses, Evidence(bayes_factor=3))
     again = plan_of(plan_json(plan))
     cells = plan.scheme.cells()
     for one, other in zip(plan.hypotheses, again.hypotheses, strict=True):
@@ -189,14 +190,14 @@ C2 = Whisker.from_identity("C2")  # 33.6 mm
         ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 2 mm are too coarse"),
         (
             {
-                "goal": Goal(half_width=0.2),
+                "goal": Precision(half_width=0.2),
                 "cue": ForceMap(),
                 "deflection_angle": 0.7,
                 "scheme": Scheme([10e-3, 25e-3], [-1e-3, 1e-3]),
             },
             r"flicked past: the whisker holds .* too much",
         ),
-        ({"goal": Goal(half_width=0.2), "cue": ForceMap()}, r"needs the deflection angle"),
+        ({"goal": Precision(half_width=0.2), "cue": ForceMap()}, r"needs the deflection angle"),
         ({"cue": ForceMap(), "trials": 5}, r"Taper is tested by the compliance cue"),
         ({"hypotheses": taper(C2)[:1], "trials": 5}, r"A Bayes factor compares two hypotheses"),
         ({"together": True, "trials": 5}, r"One animal cannot be fitted together"),
@@ -217,11 +218,9 @@ def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: st
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Goal(), "got neither"),
-        (lambda: Goal(10, 0.2), "got both"),
-        (lambda: Goal(bayes_factor=1), "bayes_factor must be above 1"),
-        (lambda: Goal(half_width=20), "half_width must lie between 0 and 1, got 20"),
-        (lambda: Goal(10, share=1), "share must lie between 0 and 1, got 1"),
+        (lambda: Evidence(bayes_factor=1), "bayes_factor must be above 1"),
+        (lambda: Precision(half_width=20), "half_width must lie between 0 and 1, got 20"),
+        (lambda: Evidence(10, share=1), "share must lie between 0 and 1, got 1"),
         (lambda: SubjectPopulation(0), "weber_fraction must be above zero"),
         (lambda: SubjectPopulation(lapse=0.5), "lapse must lie between 0 and 0.5"),
         (lambda: SubjectPopulation(spread=-1), "spread must not be negative"),
@@ -243,7 +242,7 @@ def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
 
     Chance: 48 experiments at a size have a standard error of 0.06, 24 of 0.08.
     """
-    goal = Goal(bayes_factor=10, share=0.85)
+    goal = Evidence(bayes_factor=10, share=0.85)
     plan = plan_experiment(
         "C2", goal=goal, standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], runs=runs, seed=2
     )
@@ -297,7 +296,7 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
         'weberwhisk.fit_weber with bias="per standard"; on the command line --bias',
     ):
         assert fact in text, fact
-    alone = Plan(plan.scheme, plan.hypotheses[:1], Goal(half_width=0.25), constraints=Constraints())
+    alone = Plan(plan.scheme, plan.hypotheses[:1], Precision(0.25), constraints=Constraints())
     assert "half-width is below 25 %" in " ".join(preregistration(alone).split())
     pooled = replace(plan, together=True)
     assert "All animals are fitted together" in " ".join(preregistration(pooled).split())
@@ -313,3 +312,22 @@ def test_a_plan_keeps_the_model_of_its_observers() -> None:
     own = Observer(whisker, ForceMap(), prior={"radial_distance": norm(20e-3, 1e-3)})
     with pytest.raises(ValueError, match="has a prior or a tolerance of its own"):
         plain(own)
+
+
+@pytest.mark.parametrize(
+    ("goal", "of_0_2"),
+    [
+        (Evidence(5, 0.9), {"bayes_factor": 5, "half_width": None, "share": 0.9}),
+        (Precision(0.3), {"bayes_factor": None, "half_width": 0.3, "share": 0.8}),
+    ],
+)
+def test_goals_of_0_2_are_read(goal: Evidence | Precision, of_0_2: dict[str, Any]) -> None:
+    hypotheses = taper(Whisker.from_identity("C2"))
+    plan = Plan(Scheme([10e-3, 20e-3], [-1e-3, 1e-3]), hypotheses, goal)
+    record = json.loads(plan_json(plan))
+    assert plan_of(json.dumps(record)).goal == goal
+    record["plan"]["goal"] = {"is": "Goal", **of_0_2}
+    assert plan_of(json.dumps(record)).goal == goal
+    record["plan"]["goal"] = {"is": "Goal", "bayes_factor": None, "half_width": None, "share": 0.8}
+    with pytest.raises(ValueError, match="is no Goal"):
+        plan_of(json.dumps(record))

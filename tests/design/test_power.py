@@ -18,9 +18,10 @@ from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.priors import SPREAD
 from weberwhisk.design import (
     Constraints,
-    Goal,
+    Evidence,
     Hypothesis,
     Plan,
+    Precision,
     Scheme,
     SubjectPopulation,
     cues,
@@ -30,9 +31,9 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.experiments import compare, fit, simulate
 from weberwhisk.design.power_analysis import smallest
 from weberwhisk.design.scheme import sized
+from weberwhisk.design.simulation import compare, fit, simulate
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -303,7 +304,7 @@ def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda: ww.power(design((0.3,), 5), [TAPERED], goal=Goal(bayes_factor=10)),
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], goal=Evidence(bayes_factor=10)),
          "A Bayes factor compares two hypotheses"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], truths=["tappered"]), "did you mean"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], trials=[0]), "got 0"),
@@ -338,16 +339,16 @@ WRONG = (
 )
 PLAN = {
     "scheme": Scheme([20e-3], [-2e-3, 2e-3], 4), "hypotheses": [TAPERED],
-    "goal": Goal(half_width=0.2),
+    "goal": Precision(half_width=0.2),
 }  # fmt: skip
-FEW = {"goal": Goal(half_width=0.2), "runs": 2}
+FEW = {"goal": Precision(half_width=0.2), "runs": 2}
 
 
 @pytest.mark.parametrize(
     ("call", "taken"),
     [
-        (lambda w: Goal(bayes_factor=10, share=w), ()),
-        (lambda w: Goal(half_width=w), ()),
+        (lambda w: Evidence(bayes_factor=10, share=w), ()),
+        (lambda w: Precision(half_width=w), ()),
         (lambda w: SubjectPopulation(lapse=w), ()),
         (lambda w: Constraints(nearest=w), (3.5,)),
         (lambda w: Constraints(farthest=w), (3.5, np.inf)),
@@ -391,7 +392,7 @@ def test_wrong_types_are_refused_in_a_sentence(call, taken):
 def test_animals_engaged_part_of_the_time_need_more_trials() -> None:
     """Fitted one by one with states; engaged throughout they are those of the fast way."""
     weber = [Hypothesis("Weber", IdentityEncoding(), bias="shared")]
-    scheme, goal = Scheme([1.0], [-0.3, -0.2, -0.1, 0.1, 0.2, 0.3], trials=40), Goal(half_width=0.3)
+    scheme, goal = Scheme([1.0], [-0.3, -0.2, -0.1, 0.1, 0.2, 0.3], trials=40), Precision(0.3)
     width = {
         engaged: ww.power(
             scheme, weber, goal=goal, runs=4, states=engaged and States(engaged=engaged)

@@ -17,10 +17,11 @@ from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
 from weberwhisk.behaviour.encodings import ConstantNoise
 from weberwhisk.behaviour.simulate import simulate_responses, simulate_trials
 from weberwhisk.design import (
-    Goal,
+    Evidence,
     Hypothesis,
     Plan,
     Power,
+    Precision,
     Scheme,
     SubjectPopulation,
     analyse,
@@ -121,7 +122,7 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
     """At one standard, a tapered whisker and a cylinder of another k are nearly one observer."""
     tapered, cylindrical = taper(C2)
     scheme = Scheme.spaced(tapered.encoding, [10e-3], trials=20)
-    plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
+    plan = Plan(scheme, [tapered, cylindrical], Evidence(bayes_factor=10))
     found = simulate_study(plan, 4, seed=1)
     assert found.runs["log_bayes_factor"].abs().max() < np.log(3)
     assert (found.table[["power", "wrong"]] == 0).all(axis=None)
@@ -143,7 +144,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(animals: int) -> None:
     encoding = taper(C2)[0].encoding
     scheme = Scheme.spaced(encoding, PLACES, weber_fraction=0.12, levels=LEVELS, trials=20)
     hypothesis = Hypothesis("tapered", encoding, priors, bias="shared")
-    plan = Plan(scheme, [hypothesis], Goal(half_width=0.45), expected)
+    plan = Plan(scheme, [hypothesis], Precision(half_width=0.45), expected)
     found = simulate_study(plan, animals, seed=4)
     assert found.runs["covers"].sum() >= {30: 25, 60: 51}[animals]
     summary = found.table.iloc[0]
@@ -166,7 +167,7 @@ def test_wilsons_interval_solves_its_own_equation() -> None:
 def test_animals_fitted_together_are_fitted_as_a_population() -> None:
     tapered = taper(C2)[0]
     scheme = Scheme.spaced(tapered.encoding, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
-    plan = Plan(scheme, [tapered], Goal(half_width=0.5), together=True)
+    plan = Plan(scheme, [tapered], Precision(half_width=0.5), together=True)
     truth = plan.animals.draw(2, 1)
     answers = simulate_responses(plan.trials, truth, encoding=tapered.encoding, seed=1)
     finding = plan.analyse(answers)

@@ -19,7 +19,7 @@ from scipy.io import savemat
 import weberwhisk as ww
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import rig_trials
-from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
+from weberwhisk.design import Evidence, Plan, Precision, Scheme, plan_json, taper
 from weberwhisk.design.plan import AnalysisResult
 from weberwhisk.design.session import bpod_table, psychopy_tables
 from weberwhisk.recordings import methods_paragraph
@@ -65,7 +65,7 @@ def planned(
     """A plan on disk, what a tapered observer judges farther in each trial, and its analysis."""
     scheme = Scheme([15e-3, 40e-3], [-3e-3, -1.5e-3, 1.5e-3, 3e-3], trials=40)
     hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
-    plan = Plan(scheme, hypotheses, Goal(bayes_factor=10))
+    plan = Plan(scheme, hypotheses, Evidence(bayes_factor=10))
     folder = tmp_path_factory.mktemp("plan")
     (folder / "plan.json").write_text(plan_json(plan), "utf-8")
     encoding, lists, rng = hypotheses[0].encoding, plan.trials, np.random.default_rng(1)
@@ -165,7 +165,7 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
     words = found.report()
     assert "1 trial without an answer" in words
     assert "planned 10" in words
-    precise = replace(plan, goal=Goal(half_width=0.2), power=None)
+    precise = replace(plan, goal=Precision(half_width=0.2), power=None)
     precisely = precise.analyse(trials, unit=1e-3).report()
     assert "the planned 10" not in precisely  # of Bayes factors there was none
     rest.assign(response=answer - 1).to_csv(second, index=False)  # 0 and 1: which is which?

@@ -10,7 +10,7 @@ from weberwhisk._util import campaign
 from weberwhisk._util.campaign import all_cores
 from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, simulate_population
 from weberwhisk.design import Hypothesis, Scheme
-from weberwhisk.design.experiments import fit
+from weberwhisk.design.simulation import fit
 
 
 def test_a_worker_for_each_core(monkeypatch: pytest.MonkeyPatch) -> None:

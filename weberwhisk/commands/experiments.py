@@ -20,7 +20,7 @@ from .._util.values import counted, pd
 from . import numbers
 
 if TYPE_CHECKING:
-    from ..design import Constraints, Plan
+    from ..design import Constraints, Goal, Plan
 
 __all__ = ["analyse", "design", "rehearse", "rig_trials"]
 
@@ -76,7 +76,7 @@ def design(
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
     inputs = opt.as_asked(locals())
-    from ..design import Goal, SubjectPopulation
+    from ..design import Evidence, Precision, SubjectPopulation
 
     whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
     standards = numbers("--standard-mm", standard_mm or [])
@@ -88,11 +88,18 @@ def design(
         encoded = {"cue": felt, "deflection_angle": opt.one_angle(angles)}
     if (question, bayes_factor, half_width) == (None, None, None) and not as_json:
         question = inputs["question"] = _asked()
-    if bayes_factor is None and half_width is None:
-        bayes_factor, half_width = (None, 0.2) if question == "precision" else (10.0, None)
+    if bayes_factor is not None and half_width is not None:
+        raise Refusal(
+            "A goal is a Bayes factor or the width of an interval",
+            "both",
+            "write --bayes-factor or --half-width",
+        )
+    goal: Goal = Evidence(10.0 if bayes_factor is None else bayes_factor, share)
+    if half_width is not None or (bayes_factor is None and question == "precision"):
+        goal = Precision(0.2 if half_width is None else half_width, share)
     with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
-            whisker, question=question, goal=Goal(bayes_factor, half_width, share),
+            whisker, question=question, goal=goal,
             standards=standards * 1e-3 if standards.size else None,
             levels=checks.finite("--level", levels, "write -1,1, say"), best=best,
             trials=trials, animals=animals, find=find,

@@ -4,19 +4,22 @@ A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that 
 it runs, a placer chooses each trial from the answers to those before.
 """
 
-from .best import best_scheme
-from .experiment import plan_experiment, simulate_study
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
+from .goals import Evidence, Goal, Precision
+from .hypotheses import Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .placement import BayesianPlacer, Proposal, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, power, smallest
+from .questions import plan_experiment
+from .rehearsal import simulate_study
 from .scheme import LEVELS, Constraints, Scheme, lattice
+from .scheme_search import best_scheme
 from .session import Session, trial_lists
 
 __all__ = [
-    "LEVELS", "AnalysisResult", "BayesianPlacer", "Constraints", "Goal", "Hypothesis", "Plan",
-    "Power", "Proposal", "Scheme", "Session", "SubjectPopulation", "TrialLog", "analyse",
-    "best_scheme", "cues", "lattice", "next_trial", "noises", "plan_experiment", "plan_json",
-    "power", "read_plan", "simulate_study", "smallest", "taper", "trial_lists", "with_priors",
+    "LEVELS", "AnalysisResult", "BayesianPlacer", "Constraints", "Evidence", "Goal", "Hypothesis",
+    "Plan", "Power", "Precision", "Proposal", "Scheme", "Session", "SubjectPopulation", "TrialLog",
+    "analyse", "best_scheme", "cues", "lattice", "next_trial", "noises", "plan_experiment",
+    "plan_json", "power", "read_plan", "simulate_study", "smallest", "taper", "trial_lists",
+    "with_priors",
 ]  # fmt: skip

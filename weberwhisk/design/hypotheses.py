@@ -32,7 +32,7 @@ from ..inference.observer import Observer
 from ..whisker import Whisker
 from .scheme import Scheme
 
-__all__ = ["Goal", "Hypothesis", "SubjectPopulation", "cues", "noises", "taper", "with_priors"]
+__all__ = ["Hypothesis", "SubjectPopulation", "cues", "noises", "taper", "with_priors"]
 
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
@@ -345,74 +345,6 @@ class SubjectPopulation(Fields):
         if not self.lapses_vary:
             drawn[["lapse_low", "lapse_high"]] = self.lapse
         return drawn
-
-
-@dataclass(frozen=True, repr=False)
-class Goal(Fields):
-    """What the experiment is to reach, and in what share of repetitions.
-
-    Parameters
-    ----------
-    bayes_factor : float, optional
-        For the true hypothesis against every other.
-    half_width : float, optional
-        Of the 95 % interval of the Weber fraction, over its estimate: 0.2 for ±20 %.
-    share : float
-
-    Raises
-    ------
-    ValueError
-        Unless exactly one of the two is given.
-
-    Examples
-    --------
-    >>> print(Goal(bayes_factor=10))
-    a Bayes factor above 10 for the true hypothesis in 80 % of experiments
-    """
-
-    bayes_factor: float | None = None
-    half_width: float | None = None
-    share: float = 0.8
-
-    def __post_init__(self) -> None:
-        if (self.bayes_factor is None) == (self.half_width is None):
-            raise Refusal(
-                "A goal is a Bayes factor or the width of an interval",
-                "both" if self.bayes_factor else "neither",
-                "write one of them",
-            )
-        checks.between("share", self.share, "write 0.8, say")
-        if self.half_width is not None:
-            checks.between("half_width", self.half_width, "write 0.2")
-        elif not checks.number("bayes_factor", self.bayes_factor or 0.0, "write 10, say") > 1:
-            raise Refusal("bayes_factor must be above 1", f"{self.bayes_factor:g}", "write 10, say")
-
-    def __str__(self) -> str:
-        often = f"in {100 * self.share:.3g} % of experiments"
-        if self.bayes_factor is not None:
-            return f"a Bayes factor above {self.bayes_factor:g} for the true hypothesis {often}"
-        return f"a 95 % interval of k narrower than ±{100 * (self.half_width or 0):.3g} % {often}"
-
-
-def check_goal(
-    hypotheses: Sequence[Hypothesis], goal: Goal | None
-) -> tuple[tuple[Hypothesis, ...], Goal]:
-    """Hypotheses, and a goal that they can reach: by default a Bayes factor above 10, of one ±20 %.
-
-    An interval of a Weber fraction that is given has no width, and no trials to wait for.
-    """
-    given = check_distinct(hypotheses)
-    aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
-    checks.kind("goal", aim, "a Goal", "share", "write ww.design.Goal(half_width=0.2), say")
-    if aim.bayes_factor is None:
-        refuse_given_k(given, f"the goal is {aim}")
-    elif len(given) < 2:
-        raise Refusal(
-            "A Bayes factor compares two hypotheses",
-            f"{given[0].name!r} alone",
-            "give another, or ww.design.Goal(half_width=0.2)",
-        )
-    return given, aim
 
 
 def refuse_given_k(hypotheses: Sequence[Hypothesis], what: str) -> None:

@@ -26,14 +26,13 @@ from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
 from ..behaviour.verdict import FitStatus
 from ..sensitivity import criterion_factor
+from .goals import Goal, goal_for
 from .hypotheses import (
     ONE_STIMULUS,
-    Goal,
     Hypothesis,
     SubjectPopulation,
     check_answers,
     check_distinct,
-    check_goal,
     check_metres,
     check_task,
     options_of,
@@ -132,20 +131,11 @@ class AnalysisResult(Shown):
             if log_factor < np.log(1e5):
                 factor = f"{float(f'{np.exp(log_factor):.3g}'):g}"
             words = f"Best: {best}, by a Bayes factor of {factor}"
-            if goal is not None and goal.bayes_factor is not None:
-                met = log_factor > np.log(goal.bayes_factor)
-                verdict = "meets" if met else "does not meet"
-                words += f", which {verdict} the planned {goal.bayes_factor:g}"
-            return [f"{words}."]
-        if goal is None or goal.half_width is None:
+            return [f"{words}{'' if goal is None else goal.verdict_of_factor(log_factor)}."]
+        if goal is None:
             return []
         half = (self.estimates["upper"] - self.estimates["lower"]) / 2
-        width = half / self.estimates["weber_fraction"]
-        met = int((width < goal.half_width).sum())
-        return [
-            f"The 95 % interval of k is within the planned ±{100 * goal.half_width:g} % in {met} "
-            f"of {counted(len(width), 'fit')}."
-        ]
+        return goal.verdict_of_widths(half / self.estimates["weber_fraction"])
 
     def methods(self) -> str:
         """What was done, for a methods section: a paragraph for each hypothesis."""
@@ -322,7 +312,7 @@ class Plan(Shown):
             object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
         check_task(first.task)
-        check_goal(self.hypotheses, self.goal)
+        goal_for(self.hypotheses, self.goal)
         if self.together and self.scheme.animals < 2:
             raise Refusal(
                 "One animal cannot be fitted together with others", remedy="give two or more"

@@ -26,7 +26,8 @@ from ..behaviour.priors import Priors
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
 from ..whisker import Whisker
-from .hypotheses import ONE_STIMULUS, Goal, Hypothesis, SubjectPopulation
+from .goals import Evidence, Goal, Precision
+from .hypotheses import ONE_STIMULUS, Hypothesis, SubjectPopulation
 from .plan import Plan
 from .scheme import Constraints, Scheme
 
@@ -49,12 +50,13 @@ CHOICES: dict[type, tuple[type, ...]] = {
         encodings.ConstantNoise,
     ),
     receptors.ReceptorNoise: (receptors.Weber, receptors.GeneralisedWeber, receptors.Joint),
+    Goal: (Evidence, Precision),
 }  # fmt: skip
 CLASSES: dict[str, type] = {
     kind.__name__: kind
     for kind in chain(
         (Whisker, Observer, Priors, Hypothesis, Scheme, Constraints),
-        (Goal, SubjectPopulation, Plan),
+        (SubjectPopulation, Plan),
         *CHOICES.values(),
     )
 }
@@ -149,6 +151,7 @@ def _reader() -> Converter:
         if value is None and type(None) in get_args(kind):
             return None
         kind = next((one for one in get_args(kind) if one in CHOICES), kind)
+        value = _goal_of_0_2(value) if kind is Goal else value
         made = CLASSES.get(str(value.get("is"))) if isinstance(value, dict) else None
         if made is None or made not in CHOICES.get(kind, (kind,)):
             raise Refusal(f"{checks.shown(value)} is no {kind.__name__}")
@@ -186,6 +189,16 @@ def _reader() -> Converter:
 
     reader.register_structure_hook_func(is_thing, thing)
     return reader
+
+
+def _goal_of_0_2(value: Any) -> Any:
+    """A goal of either kind for one that weberwhisk 0.2 wrote, which had a field for each."""
+    if not isinstance(value, dict) or value.get("is") != "Goal":
+        return value
+    kinds = {"bayes_factor": "Evidence", "half_width": "Precision"}
+    given = {name: part for name, part in value.items() if name != "is" and part is not None}
+    kind = next((kinds[name] for name in given if name in kinds), "Goal")
+    return {"is": kind} | given
 
 
 def _in_words(error: BaseException) -> str:
@@ -229,9 +242,9 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     --------
     >>> from tempfile import TemporaryDirectory
     >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Scheme, taper
+    >>> from weberwhisk.design import Evidence, Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> plan = Plan(Scheme([15e-3, 40e-3], [-2e-3, 2e-3]), hypotheses, Goal(bayes_factor=10))
+    >>> plan = Plan(Scheme([15e-3, 40e-3], [-2e-3, 2e-3]), hypotheses, Evidence(10))
     >>> with TemporaryDirectory() as folder:
     ...     written = Path(folder, "plan.json").write_text(plan_json(plan), "utf-8")
     ...     again = read_plan(f"{folder}/plan.json")
@@ -375,16 +388,6 @@ def preregistration(plan: Plan) -> str:
     if len({*fitted.values()}) == 1:
         analysis = fitted[given[0].name]
     over = "" if plan.together or number == 1 else ", multiplied over animals"
-    inference = (
-        f"Hypotheses are compared by their exact evidence{over}. One is accepted if it is more "
-        f"than {goal.bayes_factor or 0:g} times as probable as every other (Bayes factor); "
-        "otherwise the experiment is reported as undecided."
-    )
-    if goal.half_width is not None:
-        inference = (
-            "The result is the interval of k; it is called precise if its half-width is below "
-            f"{100 * goal.half_width:g} % of the estimate."
-        )
     parts = {
         "Question and hypotheses": f"{asked}? {encoded}. Each compares two noisy signals, whose "
         "sds go with k.",
@@ -401,7 +404,7 @@ def preregistration(plan: Plan) -> str:
         "data are looked at to decide when to stop.",
         "Analysis": f"{analysis} The Weber fraction is reported as the posterior median with its "
         "equal-tailed 95 % interval.",
-        "Inference": inference,
+        "Inference": goal.inference(over),
         "Exclusion": "No trials are left out but those without an answer. An animal whose fit has "
         "the status REVERSED or ONE_SIDED is reported and left out of the conclusion. [Criteria of "
         "training and health.]",

@@ -17,10 +17,10 @@ from .._util import campaign, checks, output
 from .._util.refusals import Refusal, argument
 from .._util.values import Shown, interval_text, paragraphs
 from ..behaviour.states import States
-from .best import refuse_impossible
-from .experiments import experiments
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
+from .goals import Goal, goal_for
+from .hypotheses import Hypothesis, SubjectPopulation
 from .scheme import Scheme, sized
+from .simulation import experiments
 
 __all__ = ["Power", "power", "share_in_words", "smallest", "summary", "wilson"]
 
@@ -100,7 +100,7 @@ def power(
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
-    of its fit, and without effects; see `weberwhisk.design.experiments`. Several animals share a
+    of its fit, and without effects; see `weberwhisk.design.simulation`. Several animals share a
     population of ln k, as in `fit_population`. `coverage` is how often intervals of k contain the
     truth; the report says where that is too seldom, as the animals are not as the priors have them.
 
@@ -148,7 +148,7 @@ def power(
     >>> few < many
     True
     """
-    given, aim = check_goal(hypotheses, goal)
+    given, aim = goal_for(hypotheses, goal)
     checks.kind(
         "scheme", scheme, "a Scheme", "offsets", "write ww.design.Scheme([20e-3], [-2e-3, 2e-3])"
     )
@@ -182,10 +182,10 @@ def power(
                 f"{max(sizes[1])} animals fitted together",
                 "write " + argument("together", False),
             )
-    apart = None if together else aim
     work = partial(
-        experiments, scheme=scheme, hypotheses=given, animals=likely, apart=apart, states=states
-    )
+        experiments, scheme=scheme, hypotheses=given, animals=likely, goal=aim, together=together,
+        states=states,
+    )  # fmt: skip
     table = campaign.run(
         work, chunks, seed=seed, workers=workers, scheduler=scheduler, title=title,
         progress=progress,
@@ -250,10 +250,12 @@ def smallest(
     """
     usual = {"trials": 1000, "animals": 200}
     checks.one_of("vary", vary, usual)
-    given, aim = check_goal(hypotheses, goal)
+    given, aim = goal_for(hypotheses, goal)
     end = usual[vary] if most is None else checks.whole("most", most, "write 100, say")
     likely = options.get("expected") or SubjectPopulation()
-    refuse_impossible(scheme, given, aim, likely, vary, end, options.get("together", True))
+    aim.refuse_impossible(
+        scheme, given, likely, vary=vary, most=end, together=options.get("together", True)
+    )
     visited: dict[int, Power] = {}
     start = min(max(map(max, scheme.trials)) if vary == "trials" else scheme.animals, end)
     # Sizes at most: to where the goal lies between two, to a twentieth of it, and twice in the end.
@@ -357,7 +359,7 @@ def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
 
 def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
     """`Power.table` from single runs."""
-    met = reaches(runs, goal)
+    met = goal.is_reached(runs)
     rows = []
     for key, own in runs.groupby(BY, sort=False):
         share = float(met[own.index].mean())
@@ -370,14 +372,5 @@ def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
             row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
         off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
         row |= {"bias": off, "coverage": own["covers"].mean()}
-        if goal.bayes_factor is not None:
-            row["wrong"] = float((own["log_bayes_factor"] < -np.log(goal.bayes_factor)).mean())
-        rows.append(row)
+        rows.append(row | goal.power_columns(own))
     return pd.DataFrame(rows)
-
-
-def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
-    """Which experiments reach the goal, or what share of their animals, fitted apart."""
-    if goal.bayes_factor is not None:
-        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
-    return runs["reached"] if "reached" in runs else runs["half_width"] < goal.half_width

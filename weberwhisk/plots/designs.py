@@ -188,15 +188,14 @@ def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax)
     goal = result.goal
-    compared = goal.bayes_factor is not None
-    column = "log_bayes_factor" if compared else "half_width"
+    compared = goal.column == "log_bayes_factor"
     unit = np.log(10.0) if compared else 0.01
     for i, (truth, own) in enumerate(result.runs.groupby("truth", sort=False)):
-        values = np.sort(own[column].to_numpy(float)) / unit
+        values = np.sort(own[goal.column].to_numpy(float)) / unit
         below = np.arange(1, values.size + 1) / values.size
         ax.step(values, below, where="post", **look(i), label=drawable(truth))
     edge: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
-    limit = np.log10(goal.bayes_factor) if goal.bayes_factor else 100 * (goal.half_width or 0)
+    limit = goal.threshold / unit
     ax.axvline(limit, **edge, label="goal")
     what = "Half-width of the interval of k (%)"
     if compared:

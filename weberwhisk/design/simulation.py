@@ -28,7 +28,8 @@ from ..behaviour.population_fit import log_product, normal_weights
 from ..behaviour.priors import SPREAD, Priors
 from ..behaviour.states import States
 from ..behaviour.trials import STIMULI, Trials
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, options_of
+from .goals import Goal
+from .hypotheses import Hypothesis, SubjectPopulation, options_of
 from .scheme import Scheme, sized
 
 __all__ = ["Fitted", "compare", "experiments", "fit", "simulate"]
@@ -194,18 +195,19 @@ def experiments(
     scheme: Scheme,
     hypotheses: Sequence[Hypothesis],
     animals: SubjectPopulation,
-    apart: Goal | None,
+    goal: Goal,
+    together: bool = True,
     states: States | None = None,
 ) -> pd.DataFrame:
     """The work of a power analysis: so many experiments of one size and truth, a row each.
 
     Columns: what the chunk says of them, the true `weber_fraction` and its `estimate`,
-    `log_bayes_factor`, `half_width` and `covers`. Where animals are fitted apart, for a goal, these
-    are medians over them, and `covers` and `reached` shares.
+    `log_bayes_factor`, `half_width` and `covers`. Where animals are fitted one by one, these are
+    medians over them, and `covers`, and what the goal adds, are shares.
     """
     truth = next(h for h in hypotheses if h.name == chunk["truth"])
     scheme = sized(sized(scheme, "trials", chunk["trials"]), "animals", chunk["animals"])
-    rng, together = np.random.default_rng(seed), apart is None
+    rng = np.random.default_rng(seed)
     if states is not None:
         log_factor, fitted, k = _with_states(
             hypotheses, truth, scheme, animals, states, chunk["runs"], rng, together=together
@@ -215,10 +217,9 @@ def experiments(
         log_factor, fitted = compare(hypotheses, truth.name, scheme, counts, together)
     low, middle, high = np.moveaxis(fitted.quantiles, -1, 0)
     width, covers = fitted.half_width, (low <= k) & (k <= high)
-    narrow = {}
+    of_animals: dict[str, Array] = {}
     if width.ndim == 2:
-        if apart is not None and apart.half_width is not None:
-            narrow = {"reached": (width < apart.half_width).mean(axis=1)}
+        of_animals = goal.animal_columns(width)
         k, middle, width = (np.median(of, axis=1) for of in (k, middle, width))
         covers = covers.mean(axis=1)
     found = {
@@ -226,7 +227,7 @@ def experiments(
         "half_width": width, "covers": covers,
     }  # fmt: skip
     about = {name: chunk[name] for name in ("trials", "animals", "truth")}
-    return pd.DataFrame({**about, **found, **narrow})
+    return pd.DataFrame({**about, **found, **of_animals})
 
 
 def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array, Array]:

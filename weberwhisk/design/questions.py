@@ -1,39 +1,30 @@
-"""From a question to a plan, with defaults for whatever is not decided; and the plan simulated.
-
-In a simulated study every hypothesis in turn is the truth. Animals are drawn from what the plan
-expects of them, answer the very lists that the real ones will see, and their answers go through
-`Plan.analyse`, as the real ones will. What is counted is how often the conclusion is the right one.
-"""
+"""From a question to a plan, with defaults for whatever is not decided."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .._util import campaign, checks
+from .._util import checks
 from .._util.refusals import Refusal, argument
 from .._util.values import Array
 from ..behaviour.encodings import CueEncoding, Encoding
-from ..behaviour.simulate import simulate_responses
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
 from ..whisker import Whisker
-from .best import best_scheme
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, noises, taper
+from .goals import Evidence, Goal, Precision
+from .hypotheses import Hypothesis, SubjectPopulation, noises, taper
 from .plan import Plan
-from .plan_file import plan_json
-from .power_analysis import Power, power, smallest, summary
+from .power_analysis import power, smallest
 from .scheme import LEVELS, Constraints, Scheme, sized
+from .scheme_search import best_scheme
 
-__all__ = ["plan_experiment", "simulate_study"]
+__all__ = ["plan_experiment"]
 
 QUESTIONS = ("whiskers", "weber-law", "precision")
 
@@ -134,7 +125,7 @@ def plan_experiment(
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     if question is not None:
         checks.one_of("question", question, QUESTIONS)
-    usual = Goal(half_width=0.2) if question == "precision" else Goal(bayes_factor=10.0)
+    usual = Precision(0.2) if question == "precision" else Evidence(10.0)
     aim, likely = goal or usual, expected or SubjectPopulation()
     limits = constraints or Constraints(step=10e-6)
     for name, value, kind in (
@@ -155,17 +146,17 @@ def plan_experiment(
             f"{scheme.animals} and " + argument("animals", animals),
             f"write scheme.with_animals({animals})",
         )
-    asked = question or ("whiskers" if aim.half_width is None else "precision")
-    if (asked == "precision") != (aim.half_width is not None):
+    topic = question or aim.questions[0]
+    if topic not in aim.questions:
         raise Refusal(
-            f"The question {asked!r} is not answered by {aim}",
+            f"The question {topic!r} is not answered by {aim}",
             remedy=(
-                "write ww.design.Goal(half_width=0.2) for a precision, "
-                "ww.design.Goal(bayes_factor=10) for the others"
+                "write ww.design.Precision(half_width=0.2) for a precision, "
+                "ww.design.Evidence(bayes_factor=10) for the others"
             ),
         )
     if hypotheses is None:
-        given = _hypotheses(shape, asked, cue, deflection_angle, task, standards)
+        given = _hypotheses(shape, topic, cue, deflection_angle, task, standards)
     elif (question, cue, deflection_angle, task) == (None, None, None, None):
         given = hypotheses
     else:
@@ -270,93 +261,3 @@ def _hypotheses(
         at = _spread_out(encoding) if standards is None else standards
         return noises(encoding, at, task=task)
     return [Hypothesis("expected observer", encoding, task=task)]
-
-
-def simulate_study(
-    plan: Plan,
-    runs: int = 100,
-    *,
-    seed: int | np.random.SeedSequence = 1,
-    workers: int = 1,
-    scheduler: str | None = None,
-    out: str | Path | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Power:
-    """Simulate a planned experiment, fit it as the real data will be fitted, and judge it.
-
-    Parameters
-    ----------
-    plan : Plan
-    runs : int
-        Experiments under each hypothesis.
-    seed : int or SeedSequence
-        Of animals and answers; the trial lists are the plan's own.
-    workers, scheduler, out, progress
-        See `weberwhisk.campaign.run`: none of them changes the result, and with `out` a run that
-        was interrupted is resumed.
-
-    Returns
-    -------
-    Power
-        `runs` has also the number of each `run` of the study.
-
-    Raises
-    ------
-    ValueError
-        For no runs; with `out`, for a plan that cannot be written as JSON.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Scheme, taper
-    >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(tapered.encoding, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
-    >>> plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
-    >>> simulate_study(plan, 2, seed=1).runs["truth"].tolist()
-    ['tapered', 'cylindrical', 'tapered', 'cylindrical']
-    """
-    checks.whole("runs", runs, "write 100")
-    # A file of runs must say of which plan they are.
-    of = "" if out is None else hashlib.sha256(plan_json(plan).encode()).hexdigest()
-    chunks = [
-        {"plan": of, "truth": hypothesis.name, "run": run}
-        for run in range(1, int(runs) + 1)
-        for hypothesis in plan.hypotheses
-    ]
-    table = campaign.run(
-        partial(one_experiment, plan=plan), chunks, seed=seed, workers=workers,
-        scheduler=scheduler, out=out, title="Simulated study", progress=progress,
-    )  # fmt: skip
-    return Power(plan.goal, summary(table, plan.goal), table)
-
-
-def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Plan) -> pd.DataFrame:
-    """One experiment, from animals to conclusion: a row of `Power.runs`."""
-    truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
-    of_animals, of_answers = seed.spawn(2)
-    animals = plan.animals.draw(plan.scheme.animals, of_animals)
-    animals["bias"] += truth.usual_bias
-    answers = simulate_responses(
-        plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
-        seed=of_answers,
-    )  # fmt: skip
-    found = plan.analyse(answers, check=False)
-    rows = found.of(truth.name)
-    half_width = (rows["upper"] - rows["lower"]) / (2 * rows["weber_fraction"])
-    k: Any = pd.Series(plan.animals.weber_fraction, rows.index)
-    if not plan.together:
-        k = rows["subject"].map(animals.set_index("subject")["weber_fraction"])
-    row = {
-        "truth": truth.name,
-        "run": chunk["run"],
-        "trials": max(map(max, plan.scheme.trials)),
-        "animals": plan.scheme.animals,
-        "weber_fraction": float(k.median()),
-        "estimate": float(rows["weber_fraction"].median()),
-        "log_bayes_factor": found.log_bayes_factor(truth.name),
-        "half_width": float(half_width.median()),
-        "covers": float(((rows["lower"] <= k) & (k <= rows["upper"])).mean()),
-    }
-    if plan.goal.half_width is not None:
-        row["reached"] = float((half_width < plan.goal.half_width).mean())
-    return pd.DataFrame([row])
