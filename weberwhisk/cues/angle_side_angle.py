@@ -116,10 +116,12 @@ class AngleSideAngle(Cue):
         """Outcomes, given the distances from the second place and from the first."""
         first_reach, reach = self._reaches(whisker)
         seen = (r > 0) & (r <= reach) & (first <= first_reach)
-        known = seen & (r <= self._farthest(whisker))
-        if known.all():
-            return np.zeros(known.shape, dtype=np.int8)
-        outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
+        in_reach = seen & (r <= self._farthest(whisker))
+        if in_reach.all():
+            return np.zeros(in_reach.shape, dtype=np.int8)
+        outcome = np.select(
+            [in_reach, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH
+        )
         return np.asarray(outcome, dtype=np.int8)
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:

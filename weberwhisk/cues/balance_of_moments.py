@@ -218,19 +218,19 @@ class BalanceOfMoments(Cue):
         """Rotation at which the known effort is reached, and whether it ever is, (...) each."""
         from scipy.optimize.elementwise import find_root
 
-        known, (top, balanced) = self.effort, self._ends(whisker, r, model)
-        assert known is not None
+        effort, (top, balanced) = self.effort, self._ends(whisker, r, model)
+        assert effort is not None
         forward = _served(whisker, model)
         given = {n: getattr(forward, n) for n in ("friction", "offset", "hinge")}
         given = {name: value for name, value in given.items() if np.ndim(value)}
 
         def excess(theta: Array, r: Array, *values: Array) -> Array:
             uncertain: dict[str, Any] = dict(zip(given, values, strict=True))
-            return self._effort(replace(forward, **uncertain), r, theta, model) - known
+            return self._effort(replace(forward, **uncertain), r, theta, model) - effort
 
         with np.errstate(invalid="ignore"):
-            found = find_root(excess, (np.zeros(r.shape), top), args=(r, *given.values()))
-        return np.asarray(found.x), balanced
+            solution = find_root(excess, (np.zeros(r.shape), top), args=(r, *given.values()))
+        return np.asarray(solution.x), balanced
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         """Balance angle, rad, and effort where it is sensed (..., S), and the outcome (...)."""
@@ -284,8 +284,8 @@ class BalanceOfMoments(Cue):
 def _served(whisker: Any, model: str | None = None) -> ForwardModel:
     """The forward model whose table serves."""
     forward = forward_of(whisker)
-    rough = model == "elastica" and not forward.is_plain
-    return replace(forward, model=model if rough else None)
+    straight = model == "elastica" and not forward.is_plain
+    return replace(forward, model=model if straight else None)
 
 
 @lru_cache(maxsize=64)
@@ -297,8 +297,8 @@ def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Ar
     r, ends = share * forward.reach, []
     for model in forward.extremes(5):
         top = np.minimum(model.limit(r), cue.room)
-        known = np.isfinite(top)
-        top[~known] = 0.0
+        reached = np.isfinite(top)
+        top[~reached] = 0.0
         low, high = np.zeros(r.shape), np.ones(r.shape)
         for _ in range(30):  # effort is level there: an angle off by 1e-9 is nothing
             middle = (low + high) / 2
@@ -306,7 +306,7 @@ def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Ar
             after, before = (cue._effort(model, r, side * top) for side in sides)
             rises = after > before
             low, high = np.where(rises, middle, low), np.where(rises, high, middle)
-        high[~known] = high[known][-1]  # beyond its tip: anything smooth
+        high[~reached] = high[reached][-1]  # beyond its tip: anything smooth
         ends.append(np.concatenate([high[:1], high, high[-1:]]))
     places = np.concatenate([[0.0], r, [forward.reach]])
     interpolant: Callable[[Array], Array] = PchipInterpolator(places, np.stack(ends, axis=-1))
@@ -321,16 +321,16 @@ def _last_balance(cue: BalanceOfMoments, forward: ForwardModel, model: str | Non
         return cue._ends(forward, r, model)[1]
 
     r = np.linspace(0.005, 1 - 1e-9, 400) * forward.reach
-    held = balances(r)
-    if held.all():
+    balanced = balances(r)
+    if balanced.all():
         return forward.reach
-    if not held[0]:
+    if not balanced[0]:
         return 0.0
     for _ in range(9):  # to the last digits
-        first = held.argmin()
+        first = balanced.argmin()
         r = np.linspace(r[first - 1], r[first], 64)
-        held = balances(r)
-    return float(r[held.argmin() - 1])
+        balanced = balances(r)
+    return float(r[balanced.argmin() - 1])
 
 
 def whisking_range(whisking: Any) -> tuple[float, float]:

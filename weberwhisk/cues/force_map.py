@@ -144,16 +144,16 @@ class ForceMap(Cue):
             For any other set of signals: more than the unknowns have no exact inverse, and a force
             alone at a known angle has several.
         """
-        wanted = numbers("signals", signals, "give the base signals in SI units")
+        target = numbers("signals", signals, "give the base signals in SI units")
         if self.deflection_angle is not None and self.signal_names == ("moment",):
-            alone = wanted.ndim == 0 or wanted.shape[-1] != 1
-            wanted = readings("signals", wanted[..., None] if alone else wanted, 1)
-            contact = self._bisect(whisker, wanted)
+            alone = target.ndim == 0 or target.shape[-1] != 1
+            target = readings("signals", target[..., None] if alone else target, 1)
+            contact = self._bisect(whisker, target)
         elif self.deflection_angle is None and len(self.signal_names) == 2:
-            wanted = readings("signals", wanted, 2)
+            target = readings("signals", target, 2)
             order = np.argsort(self._columns)  # as the closed form has them
             ordered = ForceMap([self.signal_names[i] for i in order])
-            contact = ordered._solve(whisker, wanted[..., order])
+            contact = ordered._solve(whisker, target[..., order])
         else:
             raise Refusal(
                 f"There is no unique contact for the signals of {self!r}",
@@ -169,70 +169,74 @@ class ForceMap(Cue):
             return np.zeros(reading.shape[:-1], dtype=np.int8)
         return self.contact(whisker, reading)[1]
 
-    def _bisect(self, whisker: Whisker, wanted: Array) -> Array:
-        low = np.full(wanted.shape, 1e-9 * forward_of(whisker).length)
-        high = np.full(wanted.shape, self.farthest(whisker))
+    def _bisect(self, whisker: Whisker, target: Array) -> Array:
+        low = np.full(target.shape, 1e-9 * forward_of(whisker).length)
+        high = np.full(target.shape, self.farthest(whisker))
         ends = [self.signals(whisker, end)[0] for end in (high * (1 - 1e-12), low)]
-        inside = (wanted >= ends[0]) & (wanted <= ends[1])
+        inside = (target >= ends[0]) & (target <= ends[1])
         for _ in range(80):
             middle = (low + high) / 2
-            farther = self.signals(whisker, middle)[0] > wanted
+            farther = self.signals(whisker, middle)[0] > target
             low, high = np.where(farther, middle, low), np.where(farther, high, middle)
         return np.where(inside, (low + high) / 2, np.nan)
 
-    def _solve(self, whisker: Whisker, wanted: Array) -> Array:
-        contact = np.full(wanted.shape, np.nan)
+    def _solve(self, whisker: Whisker, target: Array) -> Array:
+        contact = np.full(target.shape, np.nan)
         if self.signal_names == SIGNALS[:2]:
             forward = forward_of(whisker)
-            r, bent = closed_form.contact_from_signals(forward.base, wanted[..., 0], wanted[..., 1])
-            known = np.isfinite(r)
-            angle = bent + forward.hinge_compliance * wanted[..., 0]
-            contact[known] = self._newton(whisker, wanted[known], r[known], angle[known])
+            r, bent = closed_form.contact_from_signals(forward.base, target[..., 0], target[..., 1])
+            solvable = np.isfinite(r)
+            angle = bent + forward.hinge_compliance * target[..., 0]
+            contact[solvable] = self._newton(
+                whisker, target[solvable], r[solvable], angle[solvable]
+            )
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
-        missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
+        missed = np.isnan(contact[..., 0]) & (np.abs(target) > 0).all(axis=-1)
         one_to_one = not forward_of(whisker).is_plain or np.any(whisker.taper)
         if np.any(missed) and (one_to_one or self.signal_names != SIGNALS[:2]):
             contact[missed] = self._newton(
-                whisker, wanted[missed], *self._nearest(whisker, wanted[missed])
+                whisker, target[missed], *self._nearest(whisker, target[missed])
             )
         return contact
 
-    def _size(self, whisker: Whisker, wanted: Array) -> Array:
+    def _size(self, whisker: Whisker, target: Array) -> Array:
         """Of the signals; of the transverse force, which passes through zero, not much less."""
-        size = np.abs(wanted)
+        size = np.abs(target)
         if 2 in self._columns[1:]:
-            other = size[..., 0] / (forward_of(whisker).length if self._columns[0] == 0 else 1.0)
-            size[..., 1] = np.maximum(size[..., 1], 0.1 * other)
+            force_size = size[..., 0] / (
+                forward_of(whisker).length if self._columns[0] == 0 else 1.0
+            )
+            size[..., 1] = np.maximum(size[..., 1], 0.1 * force_size)
         return size
 
-    def _nearest(self, whisker: Whisker, wanted: Array) -> tuple[Array, Array]:
+    def _nearest(self, whisker: Whisker, target: Array) -> tuple[Array, Array]:
         """The contact of a coarse map whose signals are nearest in logarithms, (n,) each."""
         forward = forward_of(whisker)
         r = np.linspace(0.01, 0.99, 50)[:, None] * forward.reach
         share = np.sin(np.linspace(0.02, 0.98, 50) * np.pi / 2)
         theta = share * forward.limit(r)
         grid = np.stack(np.broadcast_arrays(r, theta), axis=-1).reshape(-1, 2)
-        known = self.signals(whisker, grid)[0]
-        sizes = self._size(whisker, wanted)
+        mapped = self.signals(whisker, grid)[0]
+        sizes = self._size(whisker, target)
         best = [
-            np.nansum(_miss(known, y, size)[0] ** 2, axis=1).argmin()
-            for y, size in zip(wanted, sizes, strict=True)
+            np.nansum(_miss(mapped, y, size)[0] ** 2, axis=1).argmin()
+            for y, size in zip(target, sizes, strict=True)
         ]
         return grid[best, 0], grid[best, 1]
 
-    def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array) -> Array:
+    def _newton(self, whisker: Whisker, target: Array, r: Array, theta: Array) -> Array:
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
         forward = forward_of(whisker)
         length = forward.reach
         contact = np.stack([np.minimum(r, 0.98 * length), theta], axis=-1)
-        found, size = np.full(wanted.shape, np.nan), self._size(whisker, wanted)
-        left = np.arange(len(wanted))
-        least, since = np.full(len(wanted), np.inf), np.zeros(len(wanted), dtype=int)
+        solution, size = np.full(target.shape, np.nan), self._size(whisker, target)
+        left = np.arange(len(target))
+        least, since = np.full(len(target), np.inf), np.zeros(len(target), dtype=int)
         for _ in range(60):
             r, theta = contact[left].T
             point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
             signals = self.signals(whisker, point)[0]
-            miss, slope = _miss(signals, wanted[left], size[left])
+            miss, slope = _miss(signals, target[left], size[left])
             (a, b), (c, d) = np.moveaxis(
                 self.jacobian(whisker, point) * slope[..., :, None] * point[..., None, :], 0, -1
             )
@@ -242,7 +246,7 @@ class ForceMap(Cue):
                 after = point * np.exp(move)
             after[:, 0] = np.where(after[:, 0] < length, after[:, 0], (point[:, 0] + length) / 2)
             near = np.all(np.abs(miss) < 1e-9, axis=-1)
-            found[left] = np.where(near[:, None], after, np.nan)
+            solution[left] = np.where(near[:, None], after, np.nan)
             contact[left] = after
             # A point at which the signals depend on one unknown alone leads nowhere, nor do ten
             # steps that come no nearer.
@@ -253,16 +257,16 @@ class ForceMap(Cue):
             left = left[going]
             if not left.size:
                 break
-        return found
+        return solution
 
 
-def _miss(signals: Array, wanted: Array, size: Array) -> tuple[Array, Array]:
+def _miss(signals: Array, target: Array, size: Array) -> tuple[Array, Array]:
     """How far signals are from those wanted, and how fast that falls with each signal.
 
     On an axis that is logarithmic for signals that are far too large, as there the map is nearly
     linear, and that passes through zero smoothly.
     """
-    miss = np.arcsinh(wanted / size) - np.arcsinh(signals / size)
+    miss = np.arcsinh(target / size) - np.arcsinh(signals / size)
     return miss, 1 / np.hypot(signals, size)
 
 
@@ -400,17 +404,17 @@ class SpaceMap(Cue):
             out = _named(self.signal_names, axial, force, twist, bending, azimuth, signed)
             # A direction that is no number is none of a contact.
             off = (outcome == Outcome.HELD) & ~np.isfinite(azimuth)
-            found = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome)
-            out[found != Outcome.HELD] = np.nan
-            return out, found
+            outcomes = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome)
+            out[outcomes != Outcome.HELD] = np.nan
+            return out, outcomes
 
         return turned
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         contact = np.asarray(contact, dtype=float)
         sizes = [name for name in self.signal_names if name in SIGNALS]
-        apart = sizes and self.signal_names == (*sizes, *DIRECTIONS)
-        if not (apart and forward_of(whisker).is_flat):
+        separate = sizes and self.signal_names == (*sizes, *DIRECTIONS)
+        if not (separate and forward_of(whisker).is_flat):
             return super().jacobian(whisker, contact, model=model)
         out = np.zeros((*contact.shape[:-1], len(self.signal_names), 3))
         out[..., :-2, :2] = ForceMap(sizes).jacobian(whisker, contact[..., :2], model=model)

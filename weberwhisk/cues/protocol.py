@@ -279,7 +279,7 @@ class Fused(Cue):
 
     @property
     def circular(self) -> tuple[bool, ...]:
-        return tuple(turns for cue in self.cues for turns in cue.circular)
+        return tuple(circular for cue in self.cues for circular in cue.circular)
 
     @cached_property
     def unknowns(self) -> tuple[str, ...]:
@@ -309,15 +309,15 @@ class Fused(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Signals of all cues (..., S); the outcome is that of the first cue that fails."""
-        parts = (c.signals(whisker, self.part(c, contact), model=model) for c in self.cues)
-        return self._together(list(parts))
+        encoded = [c.signals(whisker, self.part(c, contact), model=model) for c in self.cues]
+        return self._together(encoded)
 
-    def _together(self, parts: Sequence[Encoded]) -> Encoded:
+    def _together(self, encoded: Sequence[Encoded]) -> Encoded:
         """All signals, and the outcome of the first cue that fails."""
-        outcome = parts[0][1]
-        for _, other in parts[1:]:
-            outcome = np.where(outcome == Outcome.HELD, other, outcome)
-        signals = np.concatenate([s for s, _ in parts], axis=-1)
+        outcome = encoded[0][1]
+        for _, cue_outcome in encoded[1:]:
+            outcome = np.where(outcome == Outcome.HELD, cue_outcome, outcome)
+        signals = np.concatenate([s for s, _ in encoded], axis=-1)
         lost = outcome != Outcome.HELD
         if lost.any():
             signals[lost] = np.nan
@@ -340,8 +340,8 @@ class Fused(Cue):
         start = 0
         for cue in self.cues:
             stop = start + cue.default_noise().reading_size(len(cue.signal_names))
-            own = cue.reading_outcome(whisker, reading[..., start:stop])
-            outcome = np.where(outcome == Outcome.HELD, own, outcome)
+            cue_outcome = cue.reading_outcome(whisker, reading[..., start:stop])
+            outcome = np.where(outcome == Outcome.HELD, cue_outcome, outcome)
             start = stop
         return outcome
 
@@ -434,9 +434,9 @@ class MeasuredAngle(Cue):
         refuse_hinge(whisker, "MeasuredAngle")
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact, model=model)
-        angle, held = contact[..., 1].copy(), outcome == Outcome.HELD
-        if is_curved(whisker) and held.any():
-            angle[held] += rest_angle(whisker, contact[held, 0])
+        angle, in_contact = contact[..., 1].copy(), outcome == Outcome.HELD
+        if is_curved(whisker) and in_contact.any():
+            angle[in_contact] += rest_angle(whisker, contact[in_contact, 0])
         return np.concatenate([signals, angle[..., None]], axis=-1), outcome
 
     def default_noise(self) -> ReceptorNoise:

@@ -129,8 +129,8 @@ class Compliance(Cue):
         if self.velocity_spread == 0:
             return slope[..., None, None]
         stiffness, _ = self._stiffness(whisker, r, model)
-        rows = [[slope, stiffness], [np.zeros_like(r), np.ones_like(r)]]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+        jacobian = [[slope, stiffness], [np.zeros_like(r), np.ones_like(r)]]
+        return np.stack([np.stack(row, axis=-1) for row in jacobian], axis=-2)
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """Log-normal, of θ̇ where it is unknown."""
@@ -314,9 +314,9 @@ def _amplitudes(whisker: Whisker, count: int) -> Any:
     """
     from scipy.interpolate import CubicSpline
 
-    found = _modes(whisker, count)
+    modes = _modes(whisker, count)
     s = np.linspace(0, whisker.length, 1001)
     shapes = np.empty((s.size, count))
-    shapes[0] = found.derivative(0.0, 2) / 2
-    shapes[1:] = (found.shape(s[1:]) / s[1:] ** 2).T
-    return CubicSpline(s, shapes * (found.base_moment / found.angular_frequency))
+    shapes[0] = modes.derivative(0.0, 2) / 2
+    shapes[1:] = (modes.shape(s[1:]) / s[1:] ** 2).T
+    return CubicSpline(s, shapes * (modes.base_moment / modes.angular_frequency))

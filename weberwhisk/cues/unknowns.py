@@ -87,10 +87,10 @@ class _Wrapped(Cue):
         return self.cue.circular
 
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
-        return self.cue.forward(*self._parts(whisker, contact))
+        return self.cue.forward(*self._conditioned(whisker, contact))
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
-        return self.cue.signals(*self._parts(whisker, contact), model=model)
+        return self.cue.signals(*self._conditioned(whisker, contact), model=model)
 
     def default_noise(self) -> ReceptorNoise:
         return self.cue.default_noise()
@@ -112,7 +112,7 @@ class _Wrapped(Cue):
             return self.cue.unknowns
         return (*self.cue.unknowns, self.unknown)
 
-    def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
+    def _conditioned(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
         """The whisker under the condition, and the rest of the contact."""
         contact = np.asarray(contact, dtype=float)
         if self.known is not None:
@@ -123,7 +123,7 @@ class _Wrapped(Cue):
         """Derivatives of the signals to the unknowns, (..., S, U): by the cue where known."""
         if self.known is None:
             return super().jacobian(whisker, contact, model=model)
-        return self.cue.jacobian(*self._parts(whisker, contact), model=model)
+        return self.cue.jacobian(*self._conditioned(whisker, contact), model=model)
 
     def priors(self, whisker: Any) -> dict[str, Any]:
         out = dict(self.cue.priors(self._under(whisker)))
@@ -446,23 +446,23 @@ class UnknownStiffness(_Wrapped):
                     "moment that goes with the stiffness",
                     remedy="use the cue as it is",
                 )
-        soft = one_or_more("signals", soft_signals, names)
-        self._wrap(cue, spread=spread, soft_signals=soft)
+        stiffness_scaled = one_or_more("signals", soft_signals, names)
+        self._wrap(cue, spread=spread, soft_signals=stiffness_scaled)
 
     def __repr__(self) -> str:
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
     @property
     def is_isotropic(self) -> bool:
-        return self.cue.is_isotropic and not np.any(self._soft & self.circular)
+        return self.cue.is_isotropic and not np.any(self._stiffness_scaled & self.circular)
 
     @cached_property
-    def _soft(self) -> Flags:
+    def _stiffness_scaled(self) -> Flags:
         return np.isin(self.cue.signal_names, self.soft_signals)
 
     @property
     def is_scale(self) -> bool:
-        return bool(self._soft.all())
+        return bool(self._stiffness_scaled.all())
 
     def _under(self, whisker: Any, value: Any = None) -> Any:
         refuse_hinge(whisker, "UnknownStiffness, under which forces grow with EI₀ alone,")
@@ -474,4 +474,4 @@ class UnknownStiffness(_Wrapped):
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(self._under(whisker), contact[..., :-1], model=model)
-        return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
+        return signals * np.where(self._stiffness_scaled, contact[..., -1:], 1.0), outcome

@@ -117,12 +117,12 @@ class VibrissaLength(Cue):
         """Chances (..., 2) of no touch and of a touch with the tip, at a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
-        known = (r > 0) & (r <= self.farthest(whisker))
-        r = np.where(known, r, whisker.length)
+        in_reach = (r > 0) & (r <= self.farthest(whisker))
+        r = np.where(in_reach, r, whisker.length)
         none, not_shaft = (self._missing(whisker, at) for at in (r, r / (1 - self.tip_zone)))
         chances = np.stack([none, not_shaft - none], axis=-1)
-        outcome = np.where(known, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-        return np.where(known[..., None], chances, np.nan), outcome
+        outcome = np.where(in_reach, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        return np.where(in_reach[..., None], chances, np.nan), outcome
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""
@@ -289,8 +289,8 @@ class ComparativeLength(Cue):
     @cached_property
     def signal_names(self) -> tuple[str, ...]:
         """The probability of each pattern but the last."""
-        rows = ("".join(str(int(touch)) for touch in row) for row in self.reports[:-1])
-        return tuple(f"chance_of_{row}" for row in rows)
+        patterns = ("".join(str(int(touch)) for touch in row) for row in self.reports[:-1])
+        return tuple(f"chance_of_{row}" for row in patterns)
 
     def __repr__(self) -> str:
         millimetres = ", ".join(f"{v * 1e3:g}" for v in self.lengths)
@@ -314,8 +314,8 @@ class ComparativeLength(Cue):
     def _angle(self, y: Array, x: Array) -> Array:
         """Of what each whisker meets, within half a turn of the middle of its sweep, rad."""
         angle = np.arctan2(y, x)
-        turns = np.round((angle - self.sweeps.mean(axis=1)) / (2 * np.pi))
-        return np.asarray(angle - 2 * np.pi * turns)
+        whole_turns = np.round((angle - self.sweeps.mean(axis=1)) / (2 * np.pi))
+        return np.asarray(angle - 2 * np.pi * whole_turns)
 
     def _touches(self, whisker: Whisker, r: Array) -> Array:
         """Chance of each whisker's touch in each pose, (n, P, whiskers)."""
@@ -336,23 +336,23 @@ class ComparativeLength(Cue):
 
     def _patterns(self, whisker: Whisker, r: Array) -> Array:
         """Chances (..., 2ⁿ) of all patterns: of either half of the array, times each other's."""
-        half, parts = self.reports.shape[1] // 2, []
-        rows = 256  # distances worked on together
-        for start in range(0, max(r.size, 1), rows):  # of none there is one empty piece
-            touch = self._touches(whisker, r.reshape(-1)[start : start + rows])
+        half, pieces = self.reports.shape[1] // 2, []
+        size = 256  # distances worked on together
+        for start in range(0, max(r.size, 1), size):  # of none there is one empty piece
+            touch = self._touches(whisker, r.reshape(-1)[start : start + size])
             first, second = _together(touch[..., :half]), _together(touch[..., half:])
             both = np.swapaxes(first * self._poses[2][:, None], 1, 2) @ second
-            parts.append(both.reshape(len(touch), len(self.reports)))
-        return np.concatenate(parts).reshape(*r.shape, len(self.reports))
+            pieces.append(both.reshape(len(touch), len(self.reports)))
+        return np.concatenate(pieces).reshape(*r.shape, len(self.reports))
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Chances (..., 2ⁿ − 1) of all patterns but "all touch", of a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
-        known = (r > 0) & (r <= self.farthest(whisker))
-        chances = self._patterns(whisker, np.where(known, r, whisker.length))
-        outcome = np.where(known, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-        return np.where(known[..., None], chances[..., :-1], np.nan), outcome
+        in_reach = (r > 0) & (r <= self.farthest(whisker))
+        chances = self._patterns(whisker, np.where(in_reach, r, whisker.length))
+        outcome = np.where(in_reach, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        return np.where(in_reach[..., None], chances[..., :-1], np.nan), outcome
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""
@@ -406,8 +406,10 @@ class ComparativeLength(Cue):
 
     def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """What `interval` says of readings (..., n): `HELD`, `NO_TOUCH` or `CONTRADICTORY`."""
-        rows, back = np.unique(reading.reshape(-1, reading.shape[-1]), axis=0, return_inverse=True)
-        outcome = np.array([self.interval(whisker, row)[2] for row in rows], dtype=np.int8)
+        reports, back = np.unique(
+            reading.reshape(-1, reading.shape[-1]), axis=0, return_inverse=True
+        )
+        outcome = np.array([self.interval(whisker, row)[2] for row in reports], dtype=np.int8)
         return outcome[back.reshape(reading.shape[:-1])]
 
 
@@ -416,6 +418,6 @@ def _together(touch: Array) -> Array:
     shape = touch.shape[:-1]
     out = np.ones((*shape, 1))
     for k in range(touch.shape[-1]):
-        own = np.stack([1 - touch[..., k], touch[..., k]], axis=-1)
-        out = (out[..., :, None] * own[..., None, :]).reshape(*shape, 2 ** (k + 1))
+        chance = np.stack([1 - touch[..., k], touch[..., k]], axis=-1)
+        out = (out[..., :, None] * chance[..., None, :]).reshape(*shape, 2 ** (k + 1))
     return out

@@ -247,13 +247,13 @@ class Events(ReceptorNoise):
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln of the chance of a report (..., R), shape (...); −∞ for what reports no event."""
         same = (np.asarray(reading, dtype=float)[..., None, :] == self.reports).all(axis=-1)
-        event, known = same.argmax(axis=-1), same.any(axis=-1)
+        event, possible = same.argmax(axis=-1), same.any(axis=-1)
         with np.errstate(divide="ignore"):
             log = np.log(self.chances(signals))
         shape = np.broadcast_shapes(event.shape, log.shape[:-1])
         log = np.broadcast_to(log, (*shape, log.shape[-1]))
         at = np.broadcast_to(event, shape)[..., None]
-        return np.where(known, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
+        return np.where(possible, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         rise = np.cumsum(self.chances(signals), axis=-1)

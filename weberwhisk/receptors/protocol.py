@@ -152,13 +152,13 @@ class ReceptorNoise(Value):
         >>> LogNormal(0.1, correlation=0.5).with_weber_fraction(0.2)
         LogNormal(0.2, correlation=0.5)
         """
-        own = getattr(self, "weber_fraction", None)
-        if own is None:
+        fraction = getattr(self, "weber_fraction", None)
+        if fraction is None:
             return self
         k = np.asarray(weber_fraction, dtype=float)
         if k.ndim == 0:
-            k = np.where(np.asarray(own) > 0, k, 0.0)
-        elif np.ndim(own) == 0 and np.ptp(k) == 0:
+            k = np.where(np.asarray(fraction) > 0, k, 0.0)
+        elif np.ndim(fraction) == 0 and np.ptp(k) == 0:
             k = k.flat[0]
         return self._with(weber_fraction=k)
 
@@ -187,8 +187,8 @@ class ReceptorNoise(Value):
 
     def _with(self, **values: Any) -> Any:
         """Itself with other values of those of these fields that it has."""
-        own = {f.name for f in fields(self)}  # type: ignore[arg-type]
-        changed = {name: value for name, value in values.items() if name in own}
+        names = {f.name for f in fields(self)}  # type: ignore[arg-type]
+        changed = {name: value for name, value in values.items() if name in names}
         return replace(self, **changed) if changed else self  # type: ignore[type-var]
 
 
@@ -257,9 +257,9 @@ class Joint(ReceptorNoise):
     def _components(self) -> tuple[Component, ...]:
         out, row, column = [], 0, 0
         for noise, size in zip(self.noises, self.sizes, strict=True):
-            for own, s, r in noise.components(size):
+            for component, s, r in noise.components(size):
                 signals = slice(column + s.start, column + s.stop)
-                out.append(Component(own, signals, slice(row + r.start, row + r.stop)))
+                out.append(Component(component, signals, slice(row + r.start, row + r.stop)))
             row, column = row + noise.reading_size(size), column + size
         return tuple(out)
 
@@ -290,18 +290,18 @@ class Joint(ReceptorNoise):
         if k.ndim:
             each = np.split(np.broadcast_to(k, sum(self.sizes)), np.cumsum(self.sizes)[:-1])
         pairs = zip(self.noises, each, strict=True)
-        return Joint([noise.with_weber_fraction(own) for noise, own in pairs], self.sizes)
+        return Joint([noise.with_weber_fraction(k) for noise, k in pairs], self.sizes)
 
     def without_floor(self) -> Joint:
         return Joint([noise.without_floor() for noise in self.noises], self.sizes)
 
     def uninformative(self, signals: Array) -> Flags:
-        return np.concatenate([n.uninformative(s) for n, s in self.parts(signals)], axis=-1)
+        return np.concatenate([n.uninformative(s) for n, s in self.by_component(signals)], axis=-1)
 
     def resolution(self, signals: Array) -> tuple[Array, Array]:
-        return _joined([noise.resolution(part) for noise, part in self.parts(signals)])
+        return _joined([noise.resolution(part) for noise, part in self.by_component(signals)])
 
-    def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
+    def by_component(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
         """Each component with its own signals, (..., S_i)."""
         array = np.asarray(signals, dtype=float)
         if array.shape[-1] != sum(self.sizes):
@@ -316,32 +316,32 @@ class Joint(ReceptorNoise):
         return self._components[-1].readings.stop
 
     def mean(self, signals: ArrayLike) -> Array:
-        return np.concatenate([n.mean(s) for n, s in self.parts(signals)], axis=-1)
+        return np.concatenate([n.mean(s) for n, s in self.by_component(signals)], axis=-1)
 
     def sd(self, signals: ArrayLike) -> Array:
-        return np.concatenate([n.sd(s) for n, s in self.parts(signals)], axis=-1)
+        return np.concatenate([n.sd(s) for n, s in self.by_component(signals)], axis=-1)
 
     def jacobian(self, signals: ArrayLike) -> Array:
-        return _blocks([n.jacobian(s) for n, s in self.parts(signals)])
+        return _blocks([n.jacobian(s) for n, s in self.by_component(signals)])
 
     def covariance(self, signals: ArrayLike) -> Array:
-        return _blocks([n.covariance(s) for n, s in self.parts(signals)])
+        return _blocks([n.covariance(s) for n, s in self.by_component(signals)])
 
     def fisher(self, signals: ArrayLike) -> Array:
-        return _blocks([n.fisher(s) for n, s in self.parts(signals)])
+        return _blocks([n.fisher(s) for n, s in self.by_component(signals)])
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
-        return _joined([noise.interval(part, width) for noise, part in self.parts(signals)])
+        return _joined([noise.interval(part, width) for noise, part in self.by_component(signals)])
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         array = np.asarray(reading, dtype=float)
-        own = [array[..., c.readings] for c in self._components]
-        pairs = zip(own, self.parts(signals), strict=True)
+        readings = [array[..., c.readings] for c in self._components]
+        pairs = zip(readings, self.by_component(signals), strict=True)
         return reduce(np.add, (noise.log_likelihood(y, s) for y, (noise, s) in pairs))
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         rng = np.random.default_rng(seed)
-        return np.concatenate([n.sample(s, rng) for n, s in self.parts(signals)], axis=-1)
+        return np.concatenate([n.sample(s, rng) for n, s in self.by_component(signals)], axis=-1)
 
 
 def _joined(pairs: list[tuple[Array, Array]]) -> tuple[Array, Array]:
