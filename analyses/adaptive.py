@@ -35,7 +35,7 @@ from weberwhisk.design import (
     lattice,
     taper,
 )
-from weberwhisk.plots.fits import binomial_interval
+from weberwhisk.plots.choices import binomial_interval
 from weberwhisk.plots.style import LINES, bars, legend_above, look, mark
 
 LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1

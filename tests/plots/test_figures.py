@@ -110,7 +110,7 @@ def test_psychometrics_has_a_panel_for_each_standard(fit: ww.behaviour.WeberFit)
 
 def test_binomial_intervals_are_jeffreys() -> None:
     count, n = np.array([0.0, 3.0, 10.0]), np.full(3, 10.0)
-    low, high = plots.fits.binomial_interval(count, n)
+    low, high = plots.choices.binomial_interval(count, n)
     expected = stats.beta(count + 0.5, n - count + 0.5).interval(0.95)
     np.testing.assert_allclose([low[1], high[1]], [e[1] for e in expected])
     assert (low[0], high[2]) == (0, 1)
@@ -286,3 +286,111 @@ def test_a_fit_is_drawn_with_the_columns_of_its_table() -> None:
     figure = plots.figure_of(plots.psychometrics(ww.fit_weber(trials)))
     assert figure.get_supxlabel() == "weight_g"
     assert figure.get_supylabel() == "heavier: second reported greater"
+
+
+# -- figures of real size --------------------------------------------------------------------------
+
+
+def many_stimuli(standards: int, trials: int = 2000) -> ww.behaviour.WeberFit:
+    """A table in which no stimulus is shown twice."""
+    rng = np.random.default_rng(1)
+    first = np.geomspace(1.0, 20.0, standards)[np.arange(trials) % standards]
+    second = first * np.exp(rng.normal(0, 0.25, trials))
+    greater = rng.random(trials) < stats.norm.cdf((second - first) / 0.12 / np.hypot(first, second))
+    table = pd.DataFrame(
+        {
+            "stimulus_1": first,
+            "stimulus_2": second,
+            "choice": greater.astype(int),
+            "standard": first,
+        }
+    )
+    return ww.fit_weber(ww.read_trials(table))
+
+
+def test_thousands_of_stimuli_are_drawn_in_bins(tmp_path: Path) -> None:
+    """They were a black block of bars, and a file of some megabytes."""
+    fit = many_stimuli(1)
+    (ax,) = plots.psychometrics(fit)
+    seen = ax.containers[0]
+    assert len(seen.lines[0].get_xdata()) == 20
+    assert seen.get_label() == "choices in bins, 95 %"
+    x = seen.lines[0].get_xdata()
+    assert (np.diff(x) > 0).all()
+    shares = np.asarray(seen.lines[0].get_ydata())
+    cells = fit.trials.cells()
+    assert shares.mean() == pytest.approx(cells.count.sum() / cells.n.sum(), abs=0.01)
+    figure = plots.figure_of(ax)
+    assert faults(figure) == []
+    figure.savefig(tmp_path / "one.svg")
+    assert (tmp_path / "one.svg").stat().st_size < 150_000
+
+
+def test_more_standards_than_panels_are_drawn_in_groups() -> None:
+    fit = many_stimuli(500)
+    axes = plots.psychometrics(fit)
+    assert len(axes) == 4
+    assert axes[0].get_title().startswith("standards 1 to ")
+    figure = plots.figure_of(axes)
+    assert figure.get_supxlabel() == "Second stimulus / first"
+    assert faults(figure) == []
+    # What the fit expects lies within the bars of nearly all bins.
+    for ax in axes:
+        bars = ax.containers[0]
+        (segments,) = (c.get_segments() for c in bars.lines[2])
+        low, high = np.array([(s[0, 1], s[1, 1]) for s in segments]).T
+        curve = ax.get_lines()[0].get_ydata()
+        assert np.mean((low <= curve) & (curve <= high)) > 0.8
+    (one,) = plots.psychometrics(fit, Figure().subplots())
+    assert one.get_xlabel() == "Second stimulus / first"
+    with pytest.raises(ValueError, match="standard 33 has no answers to draw; choose one of"):
+        plots.psychometrics(fit, standard=33)
+
+
+def test_bins_hold_as_many_trials_each_and_equal_places_together() -> None:
+    x = np.array([1.0, 1.0 + 1e-13, 2.0, 3.0, 4.0, 4.0])
+    group = plots.choices._bins(x, np.array([1.0, 1, 2, 2, 1, 1]), 2)
+    assert group.tolist() == [0, 0, 0, 1, 1, 1]
+    assert plots.choices._bins(x, np.ones(6), 100).tolist() == [0, 0, 1, 2, 3, 3]
+
+
+@pytest.mark.parametrize("animals", [30, 100])
+def test_populations_of_many_animals_can_be_read(
+    animals: int, population: ww.behaviour.PopulationFit
+) -> None:
+    rng = np.random.default_rng(1)
+    (fit, *_), (row, *_) = population.fits.values(), population.subjects.to_dict("records")
+    shift = np.exp(rng.normal(0, 0.3, animals))
+    columns = [c for c in population.subjects if c not in ("subject", "n", "status")]
+    subjects = pd.DataFrame([row] * animals).assign(subject=[f"rat {i}" for i in range(animals)])
+    subjects[columns] = subjects[columns].mul(shift, axis=0)
+    many = SimpleNamespace(
+        fits=dict.fromkeys(subjects["subject"], fit), subjects=subjects,
+        interval=population.interval,
+    )  # fmt: skip
+    for axes in (plots.population(many), plots.shrinkage(many)):  # type: ignore[arg-type]
+        figure = plots.figure_of(axes)
+        assert faults(figure) == []
+        assert figure.get_figheight() < 9.5
+        named = [t for t in np.ravel([axes])[-1].get_yticklabels() if "rat" in t.get_text()]
+        assert len(named) == (animals if animals == 30 else 0)
+
+
+def test_axes_are_named_after_what_is_on_them() -> None:
+    def labels(fit: ww.behaviour.WeberFit) -> tuple[str, str]:
+        figure = plots.figure_of(plots.psychometrics(fit))
+        return figure.get_supxlabel(), figure.get_supylabel()
+
+    few: Any = {"trials_per_level": 4, "seed": 1}
+    assert labels(ww.fit_weber(ww.simulate_trials(task="go/no-go", **few))) == (
+        "Stimulus", 'Proportion of "go"',
+    )  # fmt: skip
+    either = ww.fit_weber(ww.simulate_trials(order="random", **few))
+    assert labels(either)[0] == "Second stimulus × standard / first"
+    log = pd.DataFrame({"log_ratio": [-0.3, -0.1, 0.1, 0.3] * 9, "choice": [0, 0, 1, 1] * 9})
+    assert labels(ww.fit_weber(ww.read_trials(log)))[0] == (
+        "log_ratio, second/first (natural logarithm)"
+    )
+    seen = ww.behaviour.CueEncoding(observer(), unit=1e-3)
+    mm = ww.simulate_trials(standards=20.0, encoding=seen, **few)
+    assert labels(ww.fit_weber(mm, encoding=seen))[0] == "Second stimulus (mm)"

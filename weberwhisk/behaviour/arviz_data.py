@@ -10,7 +10,6 @@ from scipy.special import ndtri
 
 from .._util.sampling import ArvizData, integers, to_arviz
 from .._util.values import Array
-from .cue_encoding import CueEncoding, PooledEncoding
 from .estimates import Estimates
 from .likelihood import Draws, WeberModel
 from .posteriors import prior_draws
@@ -134,11 +133,8 @@ def _units(fit: Estimates) -> dict[str, str]:
     if "floor" in found:
         found["floor"] = "unit of the signal"
     columns = fit.trials.frame.attrs.get("columns", {})
-    unit = None
-    if isinstance(fit.encoding, CueEncoding | PooledEncoding):  # distances
-        unit = {1e-3: "mm", 1.0: "m"}.get(fit.encoding.unit, f"{fit.encoding.unit:g} m")
     for name in STIMULI:
-        found[name] = unit or f"unit of the column {columns.get(name, name)}"
+        found[name] = fit.stimulus_unit or f"unit of the column {columns.get(name, name)}"
     return found
 
 

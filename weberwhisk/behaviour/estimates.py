@@ -14,6 +14,7 @@ from .._util import checks
 from .._util.refusals import Refusal
 from .._util.values import Array, Shown, counted, interval_text
 from . import psychometric as curve
+from .cue_encoding import CueEncoding, PooledEncoding
 from .effects import Effect
 from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
@@ -73,6 +74,13 @@ class Estimates(Shown):
         if self.trials.scale == "log" and self.trials.log_unit is None:
             return "per unit of the stimulus column"
         return ""
+
+    @property
+    def stimulus_unit(self) -> str:
+        """Unit of the stimuli, where the encoding is of distances; else empty."""
+        if not isinstance(self.encoding, CueEncoding | PooledEncoding):
+            return ""
+        return {1e-3: "mm", 1.0: "m"}.get(self.encoding.unit, f"{self.encoding.unit:g} m")
 
     @property
     def log_evidence(self) -> float | None:

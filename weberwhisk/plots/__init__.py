@@ -5,6 +5,7 @@ Okabe and Ito, which colour-blind readers can distinguish, and every colour come
 marker or line style, so that figures can be read in grey.
 """
 
+from .choices import population, psychometrics
 from .contacts import (
     bending,
     calibrated,
@@ -23,7 +24,7 @@ from .designs import (
     power_curve,
     rehearsed,
 )
-from .fits import comparison, engagement, population, psychometrics, residuals, shrinkage
+from .fits import comparison, engagement, residuals, shrinkage
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 
 __all__ = [

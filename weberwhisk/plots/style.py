@@ -150,12 +150,15 @@ def errors(ax: Axes, x: Any, y: Any, error: Any, i: int, **more: Any) -> None:
     bars(ax, x, (y, y - 1.96 * error, y + 1.96 * error), i, **more)
 
 
-def log_numbers(*axes: Axis) -> None:
+def log_numbers(*axes: Axis, narrow: bool = False) -> None:
     """Plain numbers on logarithmic axes, spaced to be legible over few or many decades."""
     for axis in axes:
         low, high = axis.get_view_interval()
-        few = np.log10(high / low) < 2.5
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+        decades = np.log10(high / low)
+        # Most numbers a decade first, with the most decades that there is room for.
+        room = {(1.0, 2.0, 5.0): 1.0, (1.0, 3.0): 2.0} if narrow else {(1.0, 2.0, 5.0): 2.5}
+        subs = next((places for places, most in room.items() if decades < most), (1.0,))
+        axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
 
