@@ -21,6 +21,17 @@ ROOT = Path(__file__).parents[1]
 LIST = Path(__file__).with_name("durations.txt")
 #: CPU seconds; of a test with parameters the mean of its cases.
 LIMIT = 0.5
+#: Tests that take longer and are quick all the same: the only ones of the quick tier that run a
+#: plan's files and figures, tracked signals, a power, a plan's analysis, mixtures over shapes and
+#: noise, and touches of one distance.
+QUICK = {
+    "tests/design/test_power.py::test_power_is_that_of_a_brute_force_simulation",
+    "tests/inference/test_touches.py::test_one_touch_is_todays_posterior",
+    "tests/recordings/test_locate.py::test_own_names_units_signs_and_index",
+    "tests/recordings/test_tracking_signals.py::test_a_session_gives_back_its_distances",
+    "weberwhisk/plots/designs.py::weberwhisk.plots.designs.rehearsed",
+    "weberwhisk/plots/designs.py::weberwhisk.plots.designs.write_plan",
+}
 HEAD = f"""\
 # Tests that take more than {LIMIT} s of CPU time, those with parameters in the mean of their cases:
 # they are marked dear. Written by `python -m pytest --measure -n auto`.
@@ -99,6 +110,7 @@ class Measure:
         means = {name: sum(each) / len(each) for name, each in self.seconds.items() if each}
         before = {name: s for name, s in dear().items() if name not in means and exists(name)}
         after = before | {name: seconds for name, seconds in means.items() if seconds > LIMIT}
+        after = {name: seconds for name, seconds in after.items() if name not in QUICK}
         rows = (f"{seconds:6.1f} {name}\n" for name, seconds in sorted(after.items()))
         LIST.write_text(HEAD + "".join(rows), "utf-8")
 

@@ -261,7 +261,7 @@ class ForceMap(Cue):
 
 
 def _miss(signals: Array, target: Array, size: Array) -> tuple[Array, Array]:
-    """How far signals are from those wanted, and how fast that falls with each signal.
+    """How far signals are from their target, and how fast that falls with each signal.
 
     On an axis that is logarithmic for signals that are far too large, as there the map is nearly
     linear, and that passes through zero smoothly.

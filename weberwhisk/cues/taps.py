@@ -253,7 +253,7 @@ class Vibration(Cue):
         return tuple(f"mode_{n}_{kind}" for n in range(first, self.count + 1))
 
     def resolved(self, whisker: Whisker) -> bool:
-        """Whether the half-power bands of all the modes are apart."""
+        """Whether the half-power bands of all the modes are separate."""
         omega = _modes(whisker, self.count).angular_frequency
         return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
 

@@ -75,7 +75,7 @@ class Spiral(Value):
         moving = across.shape == up.shape and (np.diff(across) != 0) | (np.diff(up) != 0)
         if across.ndim != 1 or across.size < 4 or not np.all(moving):
             raise Refusal(
-                "A shape at rest takes four points or more, no two in a row alike",
+                "A shape at rest takes four points or more, no two in a row the same",
                 f"x of shape {across.shape} and y of {up.shape}",
                 "give both (n,), from the base on",
             )

@@ -116,7 +116,7 @@ class ReceptorNoise(Value):
         return (Component(self, slice(0, signals), slice(0, self.reading_size(signals))),)
 
     def part(self, signals: int, start: int, stop: int) -> ReceptorNoise | None:
-        """The noise of signals start … stop of S alone; None where it is not apart from the rest.
+        """The noise of signals start … stop of S alone; None where it depends on the rest.
 
         Examples
         --------

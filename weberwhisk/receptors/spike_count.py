@@ -158,7 +158,7 @@ class SpikeCount(ReceptorNoise):
         hint = "write 0 for Poisson counts"
         self._set(gain_sd=non_negative_number("gain_sd", self.gain_sd, hint))
 
-    # From here on both classes are alike: thresholds in the signal's unit, times to count in.
+    # From here on both classes have one form: thresholds in the signal's unit, times to count in.
 
     @cached_property
     def _classes(self) -> list[tuple[Afferents, float]]:
