@@ -21,7 +21,7 @@ import typer
 from typer.core import TyperCommand
 
 from ._util.refusals import Refusal
-from .commands import choices, experiments, quickstart, whiskers
+from .commands import choices, plans, quickstart, whiskers
 
 __all__ = ["COMMANDS", "app", "main", "new_app", "run_app"]
 
@@ -34,8 +34,8 @@ class GroupedCommand(TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                own = "Arguments" if parameter.param_type_name == "argument" else "Options"
-                group = getattr(parameter, "rich_help_panel", None) or own
+                kind = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                group = getattr(parameter, "rich_help_panel", None) or kind
                 groups.setdefault(group, []).append(record)
         for group, records in groups.items():
             with formatter.section(group):
@@ -130,9 +130,9 @@ COMMANDS = {
     "locate": whiskers.locate,
     "simulate": choices.simulate,
     "fit": choices.fit,
-    "design": experiments.design,
-    "rehearse": experiments.rehearse,
-    "analyse": experiments.analyse,
+    "design": plans.design,
+    "rehearse": plans.rehearse,
+    "analyse": plans.analyse,
     "next": choices.next_trials,
 }
 app = new_app(COMMANDS)

@@ -18,7 +18,7 @@ from scipy.io import savemat
 
 import weberwhisk as ww
 from weberwhisk.cli import app, run_app
-from weberwhisk.commands.experiments import rig_trials
+from weberwhisk.commands.plans import rig_trials
 from weberwhisk.design import Evidence, Plan, Precision, Scheme, plan_json, taper
 from weberwhisk.design.plan import AnalysisResult
 from weberwhisk.design.session import bpod_table, psychopy_tables

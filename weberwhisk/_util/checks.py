@@ -118,10 +118,10 @@ def whole(name: str, value: object, hint: str, least: int = 1) -> int:
     )
 
 
-def kind(name: str, value: object, wanted: str, having: str, hint: str) -> None:
+def kind(name: str, value: object, expected: str, having: str, hint: str) -> None:
     """Refuses what has no attribute `having`, and classes where one of their objects is wanted."""
     if isinstance(value, type) or not hasattr(value, having):
-        raise Refusal(_subject(name) + f" must be {wanted}", shown(value), hint)
+        raise Refusal(_subject(name) + f" must be {expected}", shown(value), hint)
 
 
 def several(name: str, value: object, hint: str) -> list[Any]:
@@ -167,8 +167,8 @@ def listed(values: Iterable[object], most: int = 4) -> str:
     >>> listed(["s1", "s2"]), listed(range(9))
     ("'s1', 's2'", '0, 1, 2, 3, …')
     """
-    known = list(values)
-    return ", ".join([*map(repr, known[:most]), *(["…"] if len(known) > most else [])])
+    items = list(values)
+    return ", ".join([*map(repr, items[:most]), *(["…"] if len(items) > most else [])])
 
 
 def refuse_hinge(whisker: Any, what: str) -> None:
@@ -187,29 +187,29 @@ def refuse_hinge(whisker: Any, what: str) -> None:
 
 def one_of(name: str, value: object, choices: Iterable[str]) -> str:
     """`value` if it is one of `choices`, else a refusal that names the nearest."""
-    known = list(choices)
-    if isinstance(value, str) and value in known:
+    allowed = list(choices)
+    if isinstance(value, str) and value in allowed:
         return value
-    near = get_close_matches(str(value), known, n=1)
+    near = get_close_matches(str(value), allowed, n=1)
     meant = f" (did you mean {near[0]!r}?)" if near else ""
     raise Refusal(
         _subject(name) + f" {shown(value)} is unknown{meant}",
-        remedy=f"choose one of {', '.join(known)}",
+        remedy=f"choose one of {', '.join(allowed)}",
     )
 
 
 def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...]:
     """`value`, a name or a sequence of different names, if all are among `choices`."""
-    known = list(choices)
+    allowed = list(choices)
     names = (value,) if isinstance(value, str) else value
-    hint = f"write {known[:2]}, say"
+    hint = f"write {allowed[:2]}, say"
     if not np.iterable(names):
         raise Refusal(_subject(name) + " must be a list of names", shown(value), hint)
     single = f"{name[:-3]}y" if name.endswith("ies") else name.removesuffix("s")
-    found = tuple(one_of(single, each, known) for each in names)
-    if not found or len(set(found)) < len(found):
-        raise Refusal(_subject(name) + " must be one or more, each once", list(found), hint)
-    return found
+    given = tuple(one_of(single, each, allowed) for each in names)
+    if not given or len(set(given)) < len(given):
+        raise Refusal(_subject(name) + " must be one or more, each once", list(given), hint)
+    return given
 
 
 def _subject(name: str) -> Advice:

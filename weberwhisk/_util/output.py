@@ -370,10 +370,10 @@ class Log:
                 f"(line {place})",
                 remedy="name another file",
             )
-        for what, asked in self._question.items():
+        for what, requested in self._question.items():
             was = header.get(what)
-            if was != asked:
-                words = f"its {what} is {was}, not {asked}"
+            if was != requested:
+                words = f"its {what} is {was}, not {requested}"
                 words = words if len(words) < 300 else f"its {what} are others"
                 raise Refusal(
                     f"{str(self.path)!r} holds another {self._kind}: {words}",
@@ -418,7 +418,7 @@ def shown(
     many seconds. Yields a function that takes how much more of `total` has been done, 1 by default.
     """
     now, began = done, time.monotonic()
-    told = began
+    last_said = began
     if sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress
@@ -430,13 +430,13 @@ def shown(
         return
 
     def advance(more: float = 1.0) -> None:
-        nonlocal now, told
+        nonlocal now, last_said
         now += more
-        if time.monotonic() - told < every or now <= done:
+        if time.monotonic() - last_said < every or now <= done:
             return
-        told = time.monotonic()
-        left = timedelta(seconds=round((told - began) * (total - now) / (now - done)))
-        share = f"{100 * now / total:.0f} % after {told - began:.0f} s"
+        last_said = time.monotonic()
+        left = timedelta(seconds=round((last_said - began) * (total - now) / (now - done)))
+        share = f"{100 * now / total:.0f} % after {last_said - began:.0f} s"
         print(f"{title}: {share}, about {left} left", file=sys.stderr, flush=True)
 
     yield advance
@@ -485,15 +485,15 @@ def cite(*, bibtex: bool = False) -> str:
 
 def versions_in_words(*packages: str) -> str:
     """This package's version, Python's, and those of the packages, for a methods section."""
-    known = versions(*packages)
-    found = [f"{name} {known[name]}" for name in packages if known[name]]
-    return ", ".join([f"weberwhisk {__version__}", f"Python {platform.python_version()}", *found])
+    installed = versions(*packages)
+    out = [f"{name} {installed[name]}" for name in packages if installed[name]]
+    return ", ".join([f"weberwhisk {__version__}", f"Python {platform.python_version()}", *out])
 
 
 def versions(*packages: str) -> dict[str, str | None]:
     """Of this package and others, None for those that are not installed."""
-    found: dict[str, str | None] = {"weberwhisk": __version__, **dict.fromkeys(packages)}
+    out: dict[str, str | None] = {"weberwhisk": __version__, **dict.fromkeys(packages)}
     for name in packages:
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            out[name] = version(name)
+    return out

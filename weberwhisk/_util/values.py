@@ -82,7 +82,7 @@ class Fields:
 
 def _as_call(made: Any, always: tuple[str, ...] = ()) -> str:
     """The call that makes a dataclass."""
-    parts, in_order = [], True
+    arguments, in_order = [], True
     taken = signature(type(made)).parameters
     for f in fields(made):
         value, how = getattr(made, f.name), taken.get(f.name, f)
@@ -90,8 +90,8 @@ def _as_call(made: Any, always: tuple[str, ...] = ()) -> str:
             in_order = False
             continue
         in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY
-        parts.append(in_short(value) if in_order else f"{f.name}={in_short(value)}")
-    return f"{type(made).__name__}({', '.join(parts)})"
+        arguments.append(in_short(value) if in_order else f"{f.name}={in_short(value)}")
+    return f"{type(made).__name__}({', '.join(arguments)})"
 
 
 def _same(value: Any, default: Any) -> bool:
@@ -151,8 +151,8 @@ class Value(Fields):
         try:
             return self._known_key
         except AttributeError:
-            own = (f.name for f in fields(self) if f.compare)  # type: ignore[arg-type]
-            key = tuple(_plain(getattr(self, name)) for name in own)
+            compared = (f.name for f in fields(self) if f.compare)  # type: ignore[arg-type]
+            key = tuple(_plain(getattr(self, name)) for name in compared)
             object.__setattr__(self, "_known_key", key)
             return key
 
@@ -187,8 +187,8 @@ class Line:
 
     def _table(self) -> pd.DataFrame | None:
         """What a notebook shows below the line."""
-        found = self.summary() if hasattr(self, "summary") else getattr(self, "table", None)
-        return cast("pd.DataFrame | None", found)
+        table = self.summary() if hasattr(self, "summary") else getattr(self, "table", None)
+        return cast("pd.DataFrame | None", table)
 
     def __repr__(self) -> str:
         text = f"<{type(self).__name__}: {self._line()}>"
@@ -245,10 +245,10 @@ def with_units(
         "m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "rad/s": ("deg_per_s", 180 / math.pi),
         "1/m": ("per_m", 1.0), "N m/rad": ("Nm_per_rad", 1.0),
     }  # fmt: skip
-    found = table.copy()
+    out = table.copy()
     for name, unit in of.items():
-        found[name] = table[name] * said[unit][1]
-    return found.rename(columns={name: f"{name}_{said[unit][0]}" for name, unit in of.items()})
+        out[name] = table[name] * said[unit][1]
+    return out.rename(columns={name: f"{name}_{said[unit][0]}" for name, unit in of.items()})
 
 
 class Worded(IntEnum):
@@ -328,9 +328,9 @@ def density_quantiles(x: Array, density: Array, p: ArrayLike) -> Array:
     """Quantiles (..., Q) at p (Q,) of densities (..., X), straight between x, (X,) or (..., X)."""
     mass = np.cumsum((density[..., 1:] + density[..., :-1]) / 2 * np.diff(x), axis=-1)
     below = np.insert(mass / mass[..., -1:], 0, 0.0, axis=-1).reshape(-1, np.shape(x)[-1])
-    rows = zip(below, np.broadcast_to(x, density.shape).reshape(below.shape), strict=True)
-    found = [np.interp(np.asarray(p, dtype=float), rise, at) for rise, at in rows]
-    return np.reshape(found, density.shape[:-1] + np.shape(p))
+    each = zip(below, np.broadcast_to(x, density.shape).reshape(below.shape), strict=True)
+    out = [np.interp(np.asarray(p, dtype=float), rise, at) for rise, at in each]
+    return np.reshape(out, density.shape[:-1] + np.shape(p))
 
 
 def methods_text(sentences: Sequence[str]) -> str:
@@ -339,10 +339,10 @@ def methods_text(sentences: Sequence[str]) -> str:
     return " ".join([*sentences, f"This was done with {made}."])
 
 
-def paragraphs(parts: Mapping[str, Sequence[str]], width: int | None = None) -> str:
+def paragraphs(sections: Mapping[str, Sequence[str]], width: int | None = None) -> str:
     """A report: a paragraph for each heading, its sentences one a line, or wrapped to a width."""
     out: list[str] = []
-    for heading, sentences in parts.items():
+    for heading, sentences in sections.items():
         if width is None:
             out.append(
                 Advice.joined("\n" if len(sentences) > 1 else " ", [f"{heading}.", *sentences])

@@ -155,9 +155,9 @@ def _instead(fit: Estimates) -> Advice:
     """What to do where a posterior was given up."""
     if not too_few_kinds(fit.model):
         return "fit by the other method, or state more beforehand (" + named("priors") + ")"
-    few = stats.beta(1, 20)
-    few_lapses = argument("priors", {"lapse_low": few, "lapse_high": few})
-    ways = ["believe lapses to be few, " + few_lapses]
+    rare = stats.beta(1, 20)
+    rare_lapses = argument("priors", {"lapse_low": rare, "lapse_high": rare})
+    ways = ["believe lapses to be few, " + rare_lapses]
     if fit.model.task.has_bias and fit.bias == "shared" and fit.standards.size > 1:
         ways.append("fit " + argument("bias", "per standard"))
     return Advice.joined("; or ", ways) + "; the other method would give up as well"

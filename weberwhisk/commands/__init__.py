@@ -77,13 +77,13 @@ def numbers(option: str, values: Sequence[str]) -> Array:
     >>> numbers("--deflection-angle-deg", ["5,10", "20"])
     array([ 5., 10., 20.])
     """
-    found = []
+    out = []
     for text in (text.strip() for value in values for text in value.split(",")):
         try:
-            found.append(float(text))
+            out.append(float(text))
         except ValueError:
             raise Refusal(f"{option} takes numbers such as 10,20,30", f"{text!r}") from None
-    return np.array(found)
+    return np.array(out)
 
 
 Text = str | None
@@ -131,7 +131,7 @@ _SHAPE: dict[str, Any] = {
 _SHARED: dict[str, Any] = {
     "cue": Annotated[
         str | None,
-        "What tells of distance: compliance, force-map, three-forces (transverse force too), "
+        "What distance is inferred from: compliance, force-map, three-forces (transverse too), "
         "moment (at a known angle), vibration, space-map, balance-of-moments, "
         "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
         "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
@@ -146,7 +146,7 @@ _SHARED: dict[str, Any] = {
     ],
     "standard_mm": Annotated[Texts, "Radial distances, where there is a whisker."],
     "radial_distance_mm": Annotated[Texts, "Straight line to the contact."],
-    "column": Annotated[Texts, "Its own name of a quantity.", {"metavar": "NAME=COLUMN"}],
+    "column": Annotated[Texts, "The table's name of a quantity.", {"metavar": "NAME=COLUMN"}],
     "unit": Annotated[Texts, "Unit of a quantity, such as mN or uN m/s.", {"metavar": "NAME=UNIT"}],
     "workers": Annotated[int | None, "Processes.  [default: one a core]", _of("Workers")],
     "scheduler": Annotated[
@@ -212,16 +212,16 @@ def as_options(text: str) -> str:
 
 def _as_typed(piece: Typed) -> str:
     """What can be typed as options; what is none of the command that runs stays Python."""
-    found = _options(piece)
-    return str(piece) if found is None else " ".join(found)
+    typed = _options(piece)
+    return str(piece) if typed is None else " ".join(typed)
 
 
 def _options(piece: Typed) -> list[str] | None:
     """The options of a piece of advice, None where it has none."""
     if isinstance(piece, Call):
         inner = [p for text in piece.arguments if isinstance(text, Advice) for p in text.pieces]
-        found = [_options(p) for p in inner if not isinstance(p, str)]
-        return [o for f in found if f for o in f] if found and None not in found else None
+        options = [_options(p) for p in inner if not isinstance(p, str)]
+        return None if None in options else [o for each in options if each for o in each] or None
     of = getattr(piece, "of", "")
     spelled = SPELLED.get(f"{of}.{piece.name}" if of else piece.name, Spelled(piece.name))
     here = _here.get()
@@ -297,8 +297,8 @@ def _with_typer(
 
 def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
     """A command's options for its record, with the whisker's, without those of the output."""
-    own = {"out", "as_json", "seed", "workers", "scheduler", *without}
-    kept = {name: value for name, value in options.items() if name not in own}
+    left_out = {"out", "as_json", "seed", "workers", "scheduler", *without}
+    kept = {name: value for name, value in options.items() if name not in left_out}
     return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
 
 
@@ -367,8 +367,8 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
         return ww.cues.Compliance(tap_angle=float(np.radians(tap))), np.array([])
     deflections = _angles(angles_deg)
     if name == "moment":
-        known = one_angle(deflections, "The moment is encoded at one known angle")
-        return ww.cues.ForceMap("moment", deflection_angle=known), np.array([])
+        fixed = one_angle(deflections, "The moment is encoded at one known angle")
+        return ww.cues.ForceMap("moment", deflection_angle=fixed), np.array([])
     third = ("transverse_force",) * (name == "three-forces")
     return ww.cues.ForceMap(("moment", "axial_force", *third)), deflections
 
@@ -491,13 +491,13 @@ def whisker_line(whisker: ww.Whisker) -> str:
 
 def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
     """The values of an option, each `left=right`, as a mapping."""
-    found = {}
+    out = {}
     for text in texts or ():
         left, sign, right = text.partition("=")
         if not (left and sign and right):
             raise Refusal(f"{name} takes a pair such as {example}", f"{text!r}")
-        found[left.strip()] = right.strip()
-    return found
+        out[left.strip()] = right.strip()
+    return out
 
 
 def option(parameter: str) -> str:

@@ -113,18 +113,18 @@ def simulate(
         if encoding is not None:
             table = table.rename(columns={name: f"{name}_mm" for name in STIMULI})
         run.table("trials", table)
-        known = dict(truth)
+        true_values = dict(truth)
         if animals is not None:
-            known |= {"spread": spread, "animals": animals.to_dict("records")}
+            true_values |= {"spread": spread, "animals": animals.to_dict("records")}
         if effects:
-            known |= {"effects": {e.name: value for e, value in effects}}
-        known |= {
+            true_values |= {"effects": {e.name: value for e, value in effects}}
+        true_values |= {
             "standards": base, "offsets": SIGNED_OFFSETS if levels is None else levels,
             "order": order, "task": trials.task.name, "seed": seed,
             "whisker": None if whisker is None else opt.describe(whisker),
         }  # fmt: skip
         if run.out_dir is not None:
-            atomic_write(run.path("truth.json"), to_json(known) + "\n")
+            atomic_write(run.path("truth.json"), to_json(true_values) + "\n")
             if animals is None:
                 unit = "mm" if encoding else ""
                 free = {name: truth[name] for name in trials.task.lapses}
@@ -145,7 +145,7 @@ def simulate(
     )
     if run.out_dir is None:
         lines.append(csv_text(table).rstrip("\n"))
-    answer = {"truth": known, "rows": table.astype(object).to_dict("records")}
+    answer = {"truth": true_values, "rows": table.astype(object).to_dict("records")}
     opt.finish(run, as_json, answer, *lines)
 
 
@@ -237,8 +237,8 @@ def fit(
         trials = ww.behaviour.with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
     if prior is not None:
-        known = checks.one_of("--prior", prior, ("levels",))
-        priors = {"weber_fraction": known} | (priors or {})
+        belief = checks.one_of("--prior", prior, ("levels",))
+        priors = {"weber_fraction": belief} | (priors or {})
     if together:
         if effect or law or method or states != 1:
             raise Refusal(
@@ -327,17 +327,17 @@ def _fit_together(
     out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     with Run(out, "fit", inputs, seed) as run:
-        found = ww.fit_population(trials, seed=seed, **options)
-        run.table("subjects", found.subjects)
+        population = ww.fit_population(trials, seed=seed, **options)
+        run.table("subjects", population.subjects)
         if run.out_dir is not None:
-            atomic_write(run.path("fit.json"), found.to_json() + "\n")
-            atomic_write(run.path("fit_report.txt"), found.report())
-            atomic_write(run.path("fit_methods.txt"), found.methods() + "\n")
-            if found.population is not None:
+            atomic_write(run.path("fit.json"), population.to_json() + "\n")
+            atomic_write(run.path("fit_report.txt"), population.report())
+            atomic_write(run.path("fit_methods.txt"), population.methods() + "\n")
+            if population.population is not None:
                 unit = "mm" if options["encoding"] else ""
-                run.figure("shrinkage", ww.plots.shrinkage(found))
-                run.figure("population", ww.plots.population(found, unit=unit))
-    opt.finish(run, as_json, found.to_dict(), found.report())
+                run.figure("shrinkage", ww.plots.shrinkage(population))
+                run.figure("population", ww.plots.population(population, unit=unit))
+    opt.finish(run, as_json, population.to_dict(), population.report())
 
 
 def _selected(
@@ -350,8 +350,8 @@ def _selected(
                 remedy=f"leave --{name} out, or name it with --column {name}='<its name>'",
             )
     if subject is not None:
-        own = [one for one in trials.subjects if str(one) == subject]  # "1" is a number there
-        trials = trials.select(subject=own or subject)
+        named = [one for one in trials.subjects if str(one) == subject]  # "1" is a number there
+        trials = trials.select(subject=named or subject)
     elif len(trials.subjects) > 1 and not together:
         raise Refusal(
             f"{trials.source}: there are {len(trials.subjects)} subjects "
@@ -361,9 +361,11 @@ def _selected(
             ),
         )
     if session is not None:
-        wanted = _sessions(session)
+        numbers_or_names = _sessions(session)
         numeric = all(isinstance(s, int) for s in trials.sessions)
-        trials = trials.select(session=wanted if numeric else list(map(str, wanted)))
+        trials = trials.select(
+            session=numbers_or_names if numeric else list(map(str, numbers_or_names))
+        )
     return trials
 
 
@@ -375,14 +377,14 @@ def _sessions(text: str) -> list[int | str]:
     >>> _sessions("1,3-5")
     [1, 3, 4, 5]
     """
-    wanted: list[int | str] = []
+    out: list[int | str] = []
     for part in map(str.strip, text.split(",")):
         ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part)
         if ends:
-            wanted.extend(range(int(ends[1]), int(ends[2]) + 1))
+            out.extend(range(int(ends[1]), int(ends[2]) + 1))
         else:
-            wanted.append(int(part) if part.isdecimal() else part)
-    return wanted
+            out.append(int(part) if part.isdecimal() else part)
+    return out
 
 
 def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:
@@ -411,7 +413,7 @@ def next_trials(
     standard: Annotated[opt.Texts, "Magnitudes compared with."] = None,
     standard_mm: opt.Texts = None,
     goal: Annotated[
-        str, "What the trials are to tell: weber-fraction, or taper (against a cylinder)."
+        str, "What the trials inform of: weber-fraction, or taper (against a cylinder)."
     ] = "weber-fraction",
     nearest: Annotated[float, "Least stimulus; mm with a whisker."] = 0.0,
     farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
@@ -456,16 +458,16 @@ def next_trials(
     if goal == "taper":
         if encoding is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
             raise Refusal(
-                "--goal taper tells a tapered whisker from a cylinder",
+                "--goal taper discriminates a tapered whisker from a cylinder",
                 "none",
                 "write --identity C2, say",
             )
         observer = ww.Observer(whisker.cylinder(), encoding.observer.cue, encoding.observer.noise)
-        other = CueEncoding(observer, encoding.deflection_angle, encoding.unit)
-        named = {"tapered": encoded, "cylindrical": other}
+        of_cylinder = CueEncoding(observer, encoding.deflection_angle, encoding.unit)
+        named = {"tapered": encoded, "cylindrical": of_cylinder}
         hypotheses = [Hypothesis(name, of_it, **how) for name, of_it in named.items()]
-        rows = zip(scheme.offsets, lattice(other, at, limits).offsets, strict=True)
-        scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in rows])
+        offsets = zip(scheme.offsets, lattice(of_cylinder, at, limits).offsets, strict=True)
+        scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in offsets])
     placer = BayesianPlacer(
         hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
         easy_share=easy_share, width=None if width_percent is None else width_percent / 100,

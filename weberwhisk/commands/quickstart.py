@@ -58,27 +58,27 @@ def curves(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
     """Figure 4a: posteriors by emcee and closed forms, for a taper and a cylinder."""
-    found, exact = (
+    by_emcee, exact = (
         light_taps(whisker, k, method, draws, seed, as_json) for method in ("emcee", "quadrature")
     )
     checks = [curve["posterior"].to_numpy() for curve in exact.values()]
-    tables = {name: curve.table for name, curve in found.items()}
+    tables = {name: curve.table for name, curve in by_emcee.items()}
     table = pd.concat(tables, names=["whisker"]).reset_index()
     run.table("jnd_curve", table.assign(posterior_by_quadrature_mm=np.concatenate(checks) * 1e3))
-    run.figure("jnd_curve", ww.plots.jnd_lines(found, length=whisker.length, weber_fraction=k))
-    return {name: _compared(curve, exact[name], whisker, k) for name, curve in found.items()}
+    run.figure("jnd_curve", ww.plots.jnd_lines(by_emcee, length=whisker.length, weber_fraction=k))
+    return {name: _compared(curve, exact[name], whisker, k) for name, curve in by_emcee.items()}
 
 
 def light_taps(
     whisker: ww.Whisker, k: float, method: str, draws: int, seed: int, as_json: bool = False
 ) -> dict[str, ww.sensitivity.JNDCurve]:
     """Posteriors of figure 4a for a whisker and a cylinder of its length, at ten places."""
-    places, found = np.linspace(0.05, 0.95, 10) * whisker.length, {}
+    places, out = np.linspace(0.05, 0.95, 10) * whisker.length, {}
     for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
         observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
         options = (np.array([]), method, "d'=1", draws, seed, as_json, f"{method}, {name}")
-        found[name] = curve_in_steps(observer, places, *options)
-    return found
+        out[name] = curve_in_steps(observer, places, *options)
+    return out
 
 
 def _compared(
@@ -86,16 +86,16 @@ def _compared(
 ) -> dict[str, Any]:
     """One whisker's posteriors compared with the closed form and with quadrature, JND/(kL)."""
     scale = whisker.length * k
-    closed, found, error = (
+    closed, sampled, error = (
         table[name].to_numpy(float) for name in ("closed_form", "posterior", "posterior_error")
     )
     return {
         "r_over_length": table["radial_distance"].to_numpy(float) / whisker.length,
-        "closed_form": closed / scale, "posterior": found / scale,
+        "closed_form": closed / scale, "posterior": sampled / scale,
         "posterior_95_percent": 1.96 * error / scale,
-        "within_95_percent": int(np.sum(np.abs(found - closed) <= 1.96 * error)),
-        "excess": found / closed - 1,
-        "emcee_from_quadrature": float(np.max(np.abs(found / exact["posterior"].to_numpy() - 1))),
+        "within_95_percent": int(np.sum(np.abs(sampled - closed) <= 1.96 * error)),
+        "excess": sampled / closed - 1,
+        "emcee_from_quadrature": float(np.max(np.abs(sampled / exact["posterior"].to_numpy() - 1))),
     }  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def explanation(
 ) -> str:
     """The results in plain words; every number comes from `numbers`."""
     rat = numbers["rat"]
-    parts = [
+    texts = [
         f"A mean {identity} whisker of rats (Belli et al. 2017). {whisker_line(whisker)} Receptor "
         f"noise follows Weber's law with k = {k:g}: the sd of a reading is {k:.3g} of the signal. "
         "All JNDs here are one sd (d' = 1), and are given over k times the whisker's length L.",
@@ -167,7 +167,7 @@ def explanation(
         "Akrami, Kopec, Diamond & Brody 2018, Nature 554:368. Whisker: Belli, Yang, Bresee & "
         "Hartmann 2017, J Neurophysiol 117:1807."
     )
-    filled = [textwrap.fill(part, 92) for part in parts]
+    filled = [textwrap.fill(part, 92) for part in texts]
     return "\n\n".join([*filled, rat["report"].rstrip(), textwrap.fill(credit, 92)]) + "\n"
 
 

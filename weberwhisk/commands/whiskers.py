@@ -184,14 +184,14 @@ def curve_in_steps(
         for i in range(0, distances.size, step)
     ]
     seeds = np.random.SeedSequence(seed).spawn(len(pairs))
-    parts = []
+    steps_done = []
     with progress(description, len(pairs), as_json=as_json) as advance:
-        for (angle, r), own in zip(pairs, seeds, strict=True):
-            parts.append(ww.jnd_curve(
-                observer, r, angle, method=method, criterion=criterion, n_readings=draws, seed=own
+        for (angle, r), each in zip(pairs, seeds, strict=True):
+            steps_done.append(ww.jnd_curve(
+                observer, r, angle, method=method, criterion=criterion, n_readings=draws, seed=each
             ))  # fmt: skip
             advance()
-    return ww.sensitivity.JNDCurve.joined(parts)
+    return ww.sensitivity.JNDCurve.joined(steps_done)
 
 
 # -- measured contacts ----------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def locate(
     angular_velocity, with the unit behind (moment_uNm), or as --column says. The stiffness is
     unknown unless --youngs-modulus-gpa is given. Of a tracker's file (.whiskers, .hdf5, .nwb, or
     with --pixels-per-mm a table of points) the forces follow from the shape of the whisker. With
-    --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located by what they tell.
+    --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located.
     """
     options = opt.as_asked(locals())
     table_or_path: Any = contacts
@@ -279,9 +279,9 @@ def locate(
             raise Refusal("--time needs a column of numbers", f"{time!r}", "name another")
         run.table("located", table)
         if touch is not None:
-            own = table[table["touch_status"] != "no_touch"]
+            in_touches = table[table["touch_status"] != "no_touch"]
             names = [touch, *(c for c in table.columns if c.startswith("touch_") and c != touch)]
-            run.table("touches", own[names].drop_duplicates(touch))
+            run.table("touches", in_touches[names].drop_duplicates(touch))
         if run.out_dir is not None:
             run.figure("located", ww.plots.located(table, against=time, by=touch or ""))
             if touch is not None:
@@ -289,13 +289,15 @@ def locate(
     if taps is not None:
         whisker = by.whisker
     notes += table.attrs["notes"]
-    few = table.head(20).drop(columns="message")
-    more = [f"… and {counted(len(table) - len(few), 'more row')}."] * (len(few) < len(table))
+    first_rows = table.head(20).drop(columns="message")
+    more = [f"… and {counted(len(table) - len(first_rows), 'more row')}."] * (
+        len(first_rows) < len(table)
+    )
     messages = table["message"].value_counts().items()
     answer = {"notes": notes, "rows": table.to_dict("records")}
     opt.finish(
         run, as_json, {"whisker": opt.describe(whisker), **answer}, opt.whisker_line(whisker),
-        few.to_string(float_format="{:.6g}".format, na_rep="-"), *more,
+        first_rows.to_string(float_format="{:.6g}".format, na_rep="-"), *more,
         *(f"{count} of {len(table)} rows: {message}." for message, count in messages), *notes,
     )  # fmt: skip
 
@@ -321,24 +323,25 @@ def calibrate(
     options = opt.as_asked(locals())
     whisker = opt.the_whisker(shape)
     with Run(out, "calibrate", options, seed) as run:
-        found = ww.calibrate(
+        calibration = ww.calibrate(
             taps, whisker, columns=opt.pairs("--column", column, "moment_rate=slope"),
             units=opt.pairs("--unit", unit, "moment_rate=uN m/s"), counts=counts,
             hinge=not clamped, seed=seed,
         )  # fmt: skip
-        parameters = found.parameters.reset_index(names="parameter")
+        parameters = calibration.parameters.reset_index(names="parameter")
         run.table("parameters", parameters)
-        run.table("residuals", found.residuals)
-        run.table("left_out", found.left_out)
+        run.table("residuals", calibration.residuals)
+        run.table("left_out", calibration.left_out)
         if run.out_dir is not None:
-            run.figure("calibration", ww.plots.calibrated(found))
+            run.figure("calibration", ww.plots.calibrated(calibration))
     answer = {
-        "whisker": opt.describe(found.whisker), "message": found.message,
-        "parameters": parameters.to_dict("records"), "p_value": found.p_value,
-        "left_out": found.left_out.to_dict("records"),
+        "whisker": opt.describe(calibration.whisker), "message": calibration.message,
+        "parameters": parameters.to_dict("records"), "p_value": calibration.p_value,
+        "left_out": calibration.left_out.to_dict("records"),
     }  # fmt: skip
     opt.finish(
-        run, as_json, answer, opt.whisker_line(found.whisker),
+        run, as_json, answer, opt.whisker_line(calibration.whisker),
         parameters.to_string(index=False, float_format="{:.4g}".format),
-        found.left_out.to_string(index=False, float_format="{:.4g}".format), found.message,
+        calibration.left_out.to_string(index=False, float_format="{:.4g}".format),
+        calibration.message,
     )  # fmt: skip

@@ -46,7 +46,7 @@ def design(
         opt.Texts, "Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]"
     ] = None,
     level: Annotated[opt.Texts, f"Comparisons, in sds of the noise.  [default: {_LEVELS}]"] = None,
-    best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
+    best: Annotated[bool, "Choose the most informative standards and offsets in reach."] = False,
     trials: Annotated[int | None, "Of each comparison, per animal.  [default: by the goal]"] = None,
     animals: Annotated[int, "How many."] = 1,
     find: Annotated[
@@ -84,10 +84,10 @@ def design(
     levels = numbers("--level", level or [_LEVELS])
     encoded: dict[str, Any] = {}
     if cue is not None or deflection_angle_deg:
-        felt, angles = opt.the_cue(cue, deflection_angle_deg)
-        encoded = {"cue": felt, "deflection_angle": opt.one_angle(angles)}
+        signals, angles = opt.the_cue(cue, deflection_angle_deg)
+        encoded = {"cue": signals, "deflection_angle": opt.one_angle(angles)}
     if (question, bayes_factor, half_width) == (None, None, None) and not as_json:
-        question = inputs["question"] = _asked()
+        question = inputs["question"] = _question_asked()
     if bayes_factor is not None and half_width is not None:
         raise Refusal(
             "A goal is a Bayes factor or the width of an interval",
@@ -124,7 +124,7 @@ def design(
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
 
 
-def _asked() -> str | None:
+def _question_asked() -> str | None:
     """The question, asked at an interactive terminal; None elsewhere."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
@@ -207,19 +207,19 @@ def rehearse(
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
     with Run(out, "rehearse", inputs, seed) as run:
         stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
-        found = ww.simulate_study(
+        rehearsal = ww.simulate_study(
             plan, runs, seed=seed, workers=all_cores(workers, scheduler), scheduler=scheduler,
             out=stream, progress=(lambda done: None) if as_json else None,
         )  # fmt: skip
-        run.table("rehearsal", found.runs)
-        run.table("rehearsal_summary", found.table)
+        run.table("rehearsal", rehearsal.runs)
+        run.table("rehearsal_summary", rehearsal.table)
         if run.out_dir is not None:
-            atomic_write(run.path("rehearsal.txt"), found.report())
-            run.figure("rehearsal", ww.plots.rehearsed(found))
+            atomic_write(run.path("rehearsal.txt"), rehearsal.report())
+            run.figure("rehearsal", ww.plots.rehearsed(rehearsal))
     if stream is not None:
         stream.unlink(missing_ok=True)  # its runs are in rehearsal.csv now
-    answer = {"goal": str(plan.goal), "rows": found.table.to_dict("records")}
-    opt.finish(run, as_json, answer, found.report().rstrip())
+    answer = {"goal": str(plan.goal), "rows": rehearsal.table.to_dict("records")}
+    opt.finish(run, as_json, answer, rehearsal.report().rstrip())
 
 
 def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
@@ -257,16 +257,16 @@ def analyse(
     trials = rig_trials(data, plan.hypotheses[0].task)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
     with Run(out, "analyse", inputs) as run:
-        found = plan.analyse(trials, unit=1e-3)
-        words = found.report()
-        run.table("analysis", found.estimates)
+        analysis = plan.analyse(trials, unit=1e-3)
+        words = analysis.report()
+        run.table("analysis", analysis.estimates)
         if run.out_dir is not None:
             atomic_write(run.path("analysis.txt"), words)
-            atomic_write(run.path("analysis_methods.txt"), found.methods())
-            run.figure("analysis", ww.plots.analysed(found))
+            atomic_write(run.path("analysis_methods.txt"), analysis.methods())
+            run.figure("analysis", ww.plots.analysed(analysis))
     answer = {
-        "log_evidence": found.log_evidence, "favoured": found.favoured(),
-        "left_out": found.left_out, "rows": found.estimates.to_dict("records"),
+        "log_evidence": analysis.log_evidence, "favoured": analysis.favoured(),
+        "left_out": analysis.left_out, "rows": analysis.estimates.to_dict("records"),
     }  # fmt: skip
     opt.finish(run, as_json, answer, words.rstrip())
 
@@ -294,26 +294,26 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             table, places = table[shown], places[shown]
             break
     # Keyboards of other routines, such as instructions, have no values here.
-    found = [str(n) for n in table if str(n).endswith(".keys") and table[n].notna().any()]
-    found += ["response"] if "response" in table else []
-    found = ["choice"] if "choice" in table else found
-    if len(found) != 1:
+    columns = [str(n) for n in table if str(n).endswith(".keys") and table[n].notna().any()]
+    columns += ["response"] if "response" in table else []
+    columns = ["choice"] if "choice" in table else columns
+    if len(columns) != 1:
         raise Refusal(
             f"{str(file)!r}: there is no one column of answers",
-            ", ".join(found) or "none",
+            ", ".join(columns) or "none",
             "call it choice (1 where the second was judged farther), response or <keyboard>.keys",
         )
-    given = table[found[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
+    given = table[columns[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
     codes = {"left": 0.0, "right": 1.0, "1": 0.0, "2": 1.0}
-    if found == ["choice"]:
+    if columns == ["choice"]:
         codes = {"left": 0.0, "right": 1.0, "0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
     none = "", "nan", "none", "<na>", "null", "na", "n/a"
     unknown = ~given.isin([*codes, *none]).to_numpy()
     if unknown.any():
         raise Refusal(
-            f"{str(file)!r}, column {found[0]!r}, {rows_in_words(places[unknown])}: "
-            f"{checks.listed(given[unknown].unique())} is no answer that is known",
+            f"{str(file)!r}, column {columns[0]!r}, {rows_in_words(places[unknown])}: "
+            f"{checks.listed(given[unknown].unique())} is no answer",
             remedy=(
                 f"write {', '.join(code for code, second in codes.items() if not second)} "
                 "where the first was judged farther, "
