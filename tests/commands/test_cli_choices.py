@@ -182,7 +182,7 @@ HEADER = "stimulus_1,stimulus_2,choice"
         ([], [], "the file is empty; give a header"),
         (["a,b", "1,2"], [], "--column choice='<its name>' maps one"),
         ([HEADER, "-1,2,1"], [], "read logarithms with --scale log."),
-        ([HEADER, "1,2,L"], [], "or give --label LABEL=first and --label LABEL=second."),
+        ([HEADER, "1,2,L"], [], "or give --label L=first --label R=second, say."),
         ([HEADER, "1,2,1"], ["--label", "1=third"], "'third' is unknown"),
         ([HEADER, "1,2,1"], ["--column", "choice"], "takes a pair such as choice=response"),
         ([HEADER, "1,2,1"], ["--method", "laplace"], "method 'laplace' is unknown"),

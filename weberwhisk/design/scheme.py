@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, named
 from .._util.values import Array, Fields
 from ..behaviour.encodings import (
     Encoding,
@@ -93,7 +93,7 @@ class Scheme(Fields):
                 )
             checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
-                checks.whole("trials of a level", count, "write 20")
+                checks.whole(named("trials") + " of a level", count, "write 20")
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
