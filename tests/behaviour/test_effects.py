@@ -279,10 +279,15 @@ def test_what_goes_by_the_trial_before_needs_trials_in_their_order() -> None:
     table, effect = trials.table(), History()
     effect.column(read_trials(table), IdentityEncoding())
     torn = pd.concat([table[5:], table[:5]])  # the first session comes back
-    for disordered in (table.sort_values("stimulus_2"), torn, torn.drop(columns="trial")):
+    by_level = table.sort_values("stimulus_2")
+    for numbered in (by_level, torn):  # put in their order when they are read
+        column = effect.column(read_trials(numbered), IdentityEncoding())
+        assert column.tolist() == effect.column(trials, IdentityEncoding()).tolist()
+    unnumbered = (torn.drop(columns="trial"), by_level.drop(columns=["trial", "session"]))
+    for disordered in (read_trials(by_level, in_order=False), *map(read_trials, unnumbered)):
         with pytest.raises(ValueError, match="sort by session and trial"):
-            effect.column(read_trials(disordered), IdentityEncoding())
-    fit = fit_weber(read_trials(table.sort_values(["session", "stimulus_2"])))
+            effect.column(disordered, IdentityEncoding())
+    fit = fit_weber(read_trials(table.sort_values(["session", "stimulus_2"]), in_order=False))
     assert "repetition" in checks(fit_weber(trials)).index
     assert {"trend", "repetition"}.isdisjoint(checks(fit).index)
 

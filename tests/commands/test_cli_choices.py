@@ -180,7 +180,7 @@ HEADER = "stimulus_1,stimulus_2,choice"
     ("lines", "options", "sentence"),
     [
         ([], [], "the file is empty; give a header"),
-        (["a,b", "1,2"], [], "--column choice='<its name>' maps one"),
+        (["a,b", "1,2"], [], "--column choice='<its name>' maps them"),
         ([HEADER, "-1,2,1"], [], "read logarithms with --scale log."),
         ([HEADER, "1,2,L"], [], "or give --label L=first --label R=second, say."),
         ([HEADER, "1,2,1"], ["--label", "1=third"], "'third' is unknown"),

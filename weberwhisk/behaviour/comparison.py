@@ -25,7 +25,7 @@ from .estimates import Estimates, check_fit
 from .fit import WeberFit
 from .integrate import PosteriorGrid, integrate, over_fractions
 from .posteriors import QuadraturePosterior
-from .trials import SDS
+from .trials import SDS, needs_standards
 from .verdict import strength
 
 __all__ = ["Comparison", "WeberLawTest", "compare", "weber_law_test"]
@@ -246,6 +246,7 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
             argument("states", model.n_states),
             "fit the trials of each standard, trials.select(standard=...), with states",
         )
+    needs_standards(fit.trials, "the test of Weber's law")
     if fit.standards.size < 2:
         raise Refusal("Weber's law needs two standards or more", "1", "collect another standard")
     if "weber_fraction" not in model.names:

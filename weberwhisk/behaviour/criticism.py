@@ -19,14 +19,14 @@ from scipy.special import bdtr, ndtri
 
 from .._util.checks import generator, one_of
 from .._util.refusals import Advice, Refusal, argument, call
-from .._util.values import Array, Index
+from .._util.values import Array, Flags, Index
 from .effects import Drift, Effect, History, Overdispersion, WinStay
 from .encodings import encoding_for
 from .estimates import Estimates, check_fit, compared
 from .likelihood import gather
 from .priors import PARAMETERS, priors_for
 from .states import streaks
-from .trials import STIMULI, in_order
+from .trials import STIMULI
 from .verdict import FitStatus, too_few_kinds
 
 __all__ = [
@@ -165,12 +165,17 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Answers:
-    """The rows of a table that have an answer, and the cell of the model that each belongs to."""
+    """The rows of a table that have an answer, and the cell of the model that each belongs to.
+
+    `follows` says which are the trial right after the row before, with no gap between them; it is
+    None where the rows are no course of time.
+    """
 
     frame: pd.DataFrame
     n: Array
     count: Array
     cell: Index
+    follows: Flags | None = None
 
     @classmethod
     def of(cls, fit: Estimates) -> Answers:
@@ -179,7 +184,11 @@ class Answers:
         _, _, cell = gather(trials, fit.model.effects, fit.encoding)
         frame = trials.frame.loc[trials.answered].reset_index(drop=True)
         n, count = (frame[name].to_numpy(float) for name in ("n", "count"))
-        return cls(frame, n, count, cell)
+        follows = None
+        if trials.course.is_known:
+            after_answer = trials.follows & np.r_[False, trials.answered[:-1]]
+            follows = after_answer[trials.answered]
+        return cls(frame, n, count, cell, follows)
 
     def gathered(self) -> tuple[pd.DataFrame, Index]:
         """Answers of one pair of stimuli in one session together, and which each row is in."""
@@ -212,10 +221,10 @@ class Answers:
                 lambda off, spread: _squares(off, spread, sessions).mean(axis=1),
                 "the effect Drift, or fewer sessions",
             )
-        if (self.n == 1).all() and self.n.size > 2 and in_order(self.frame):
+        if self.follows is not None and self.n.size > 2:
             course = np.linspace(-1, 1, self.n.size)
             course /= (course @ course) ** 0.5 * np.sqrt(course.size)
-            follows = np.ones(self.n.size - 1, bool) if sessions is None else np.diff(sessions) == 0
+            follows = self.follows[1:]
             out["trend"] = (
                 lambda off, spread: (off / np.sqrt(spread)) @ course,
                 "a bias that drifts: fewer sessions",
@@ -225,7 +234,8 @@ class Answers:
                 z = off / np.sqrt(spread)
                 return np.asarray((z[:, 1:] * z[:, :-1])[:, follows].mean(axis=1))
 
-            out["repetition"] = repeated, "the effect History"
+            if follows.any():
+                out["repetition"] = repeated, "the effect History"
             s1, s2 = (self.frame[name].to_numpy(float) for name in STIMULI[1:])
             right = (np.sign(s2 - s1)[:-1] * follows) / max(follows.sum(), 1)
             if is_choice and right.any():
@@ -239,7 +249,7 @@ class Answers:
 def _streaks(fit: Estimates, rng: np.random.Generator) -> float | None:
     """The log Bayes factor of states over one; None where there can be no states."""
     model, trials = fit.model, fit.trials
-    single = (trials.frame["n"] == 1).all() and in_order(trials.frame)
+    single = trials.course.is_known
     plain = model.n_states == 1 and model.task.has_bias and model.dispersed is None
     if not (single and plain) or fit.log_evidence is None:
         return None
@@ -284,7 +294,8 @@ def judged(
     fit: Estimates, status: FitStatus, notes: tuple[str, ...]
 ) -> tuple[FitStatus, tuple[str, ...]]:
     """The status of a fit once it is checked, and sentences beside it; from those before."""
-    notes = (*fit.trials.notes, *notes)
+    of_table = dict.fromkeys((*fit.trials.notes, fit.trials.course.note))
+    notes = (*filter(None, of_table), *notes)
     if status in (
         FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
     ):  # fmt: skip

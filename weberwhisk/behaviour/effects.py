@@ -19,7 +19,7 @@ from .._util import checks
 from .._util.refusals import Refusal, named
 from .._util.values import Array, Fields, pd
 from .encodings import Encoding, Signals, UnitEncodings
-from .trials import Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
+from .trials import Trials, needs_order, needs_rows, sessions_of
 
 __all__ = [
     "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Floor", "History", "Overdispersion",
@@ -193,10 +193,8 @@ class _TrialBefore(Effect):
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, type(self).__name__)
         needs_rows(trials, type(self).__name__)
-        frame = trials.frame
-        before = np.r_[0.0, np.nan_to_num(self.side(frame))[:-1]]
-        before[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
-        return before
+        before = np.r_[0.0, np.nan_to_num(self.side(trials.frame))[:-1]]
+        return np.where(trials.follows, before, 0.0)
 
     def side(self, frame: pd.DataFrame) -> Array:
         """The side, 1 for the second, to which each trial moves the next; NaN is none."""

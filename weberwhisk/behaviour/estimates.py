@@ -20,7 +20,7 @@ from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
 from .tasks import SignedChoice
-from .trials import STIMULI, Trials
+from .trials import STIMULI, Trials, needs_standards
 from .verdict import FitStatus, lapse_sensitivity
 
 __all__ = ["Estimates", "check_fit", "compared", "tails"]
@@ -89,7 +89,10 @@ class Estimates(Shown):
 
     @property
     def standards(self) -> Array:
-        """Standards with an answer, rising; those of the table where none has one."""
+        """Standards with an answer, rising; those of the table where none has one; empty where it
+        is not known which stimuli they are."""
+        if not self.trials.has_standards:
+            return self.trials.standards
         answered = np.unique(self.model.cells.standard)
         return answered if answered.size else self.trials.standards
 
@@ -283,6 +286,7 @@ class Estimates(Shown):
         levels = np.atleast_1d(checks.finite("comparisons", comparisons, "give one or several"))
         refuse_outside(self.encoding, levels)
         if standard is None:
+            needs_standards(self.trials, "a curve without standard=")
             if self.standards.size != 1:
                 raise Refusal(
                     f"the table has {self.standards.size} standards",

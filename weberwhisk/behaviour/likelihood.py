@@ -28,7 +28,7 @@ from .encodings import (
 from .located import over_places
 from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
 from .tasks import Task
-from .trials import Cells, Trials, check_trials
+from .trials import Cells, Trials, check_trials, needs_standards
 
 __all__ = [
     "BIASES", "Draws", "WeberModel", "build_model", "encoding_of", "gather", "names_by_standard",
@@ -388,6 +388,8 @@ def build_model(
         raise Refusal(
             f"{task.name} has no response bias to fit", argument("bias", bias), "leave it out"
         )
+    if chosen == "per standard":
+        needs_standards(trials, argument("bias", bias))
     cells, columns, _ = gather(trials, tuple(effects), encoded)
     both = pairs_shown(cells, encoded, noise)
     if cells.sd_1 is not None:

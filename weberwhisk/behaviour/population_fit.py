@@ -360,7 +360,7 @@ def fit_population(
     }
     own = pd.DataFrame([_row(subject, fits.get(subject), check) for subject in parts])
     left_out = own["status"].isin([status.name for status in LEFT_OUT])
-    notes = tuple(
+    notes = trials.notes + tuple(
         f"{subject} stays out: {FitStatus[status].message}."
         for subject, status in own.loc[left_out, ["subject", "status"]].itertuples(index=False)
     )

@@ -43,10 +43,13 @@ def _data(fit: Estimates) -> str:
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
         f"{t.source}: {counted(t.n_trials, 'trial')} with an answer{missing}; "
-        f"{counted(cells.n.size, 'pair')} of stimuli at {counted(fit.standards.size, 'standard')}"
-        f"; task {t.task.name}. "
+        f"{counted(cells.n.size, 'pair')} of stimuli{_at_standards(fit)}; task {t.task.name}. "
         f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
+
+
+def _at_standards(fit: Estimates) -> str:
+    return f" at {counted(fit.standards.size, 'standard')}" if fit.trials.has_standards else ""
 
 
 def _answer(fit: Estimates) -> list[str]:
@@ -223,8 +226,8 @@ def methods(fit: Estimates) -> str:
     missing = f" ({trials.n_missing} without an answer were left out)" if trials.n_missing else ""
     said = [
         f"A model of the observer was fitted to {counted(trials.n_trials, 'trial')}{missing} of "
-        f"the task {trials.task.name}, with {counted(cells.n.size, 'pair')} of stimuli at "
-        f"{counted(fit.standards.size, 'standard')}.",
+        f"the task {trials.task.name}, with {counted(cells.n.size, 'pair')} of stimuli"
+        f"{_at_standards(fit)}.",
         encoding_in_words(fit.encoding, fit.noise),
     ]
     if fit.model.encodings.has_spread:

@@ -30,9 +30,10 @@ from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
 from .importance import ImportancePosterior, Target, weighted_draws
 from .likelihood import Draws, WeberModel, gather
+from .order import is_numbered, session_block
 from .posteriors import split
 from .priors import REACH
-from .trials import Trials, needs_rows, session_block
+from .trials import Trials, needs_rows
 
 __all__ = [
     "STATE_PRIORS", "StateDraws", "StateModel", "StatePosterior", "States", "check_states",
@@ -367,7 +368,7 @@ def with_states(model: WeberModel, trials: Trials, encoding: Encoding, n_states:
     block = session_block(frame)
     begins = np.flatnonzero(np.diff(block, prepend=-1) != 0)
     passed = np.ones(len(frame))
-    if "trial" in frame and pd.api.types.is_numeric_dtype(frame["trial"]):
+    if is_numbered(frame):
         leap = frame["trial"].groupby(block).diff().to_numpy(float)
         passed = np.where(leap > 1, leap, 1.0)
     own = {name: getattr(model, name) for name in WeberModel.__dataclass_fields__}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Hashable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,14 @@ from .._util import checks
 from .._util.output import atomic_write, csv_text
 from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, Flags, Index, Line, counted
+from .order import Course, after_gap, course_of, session_block
+from .standards import NAMING
 from .tasks import Task
 
 __all__ = [
-    "LABELS", "SCALES", "SDS", "STIMULI", "Cells", "Trials", "after_gap", "check_trials",
-    "in_millimetres", "in_order", "joined", "needs_order", "needs_rows", "notes_of",
-    "notes_of_pooled", "rounded_standards", "rows_in_words", "session_block", "sessions_of",
-    "standards_of",
+    "LABELS", "SCALES", "SDS", "STIMULI", "Cells", "Trials", "check_trials", "in_millimetres",
+    "joined", "needs_order", "needs_rows", "needs_standards", "notes_of", "rows_in_words",
+    "sessions_of",
 ]  # fmt: skip
 
 SCALES = ("linear", "log")
@@ -79,6 +80,11 @@ class Trials(Line):
         What a reader should know: missing answers, rows that occur twice; `select` counts anew.
     rows : ndarray of int, optional
         Where each row stands in the file, the first below the header being 1.
+    has_standards : bool
+        Whether `standard` is the standard of each trial; else it gathers pairs alone.
+    in_order : bool, optional
+        Whether rows are in the order in which the trials were run; left out, `course` reads it
+        off the table.
 
     Raises
     ------
@@ -102,6 +108,8 @@ class Trials(Line):
     source: str = "table"
     notes: tuple[str, ...] = ()
     rows: Index | None = field(default=None, repr=False, compare=False)
+    has_standards: bool = True
+    in_order: bool | None = None
 
     def __post_init__(self) -> None:
         hint = "make it with ww.read_trials, which takes a table under any names"
@@ -171,8 +179,21 @@ class Trials(Line):
 
     @property
     def standards(self) -> Array:
-        """Standards in the table, rising."""
-        return np.unique(self.frame["standard"].to_numpy(float))
+        """Standards in the table, rising; empty where it is not known which stimuli they are."""
+        return np.unique(
+            self.frame["standard"].to_numpy(float)[: None if self.has_standards else 0]
+        )
+
+    @cached_property
+    def course(self) -> Course:
+        """Whether rows are a course of time; without one there is no history, streak or drift."""
+        return course_of(self.frame, self.in_order)
+
+    @cached_property
+    def follows(self) -> Flags:
+        """Which rows are the trial right after that of the row before."""
+        start = np.diff(session_block(self.frame), prepend=-1) != 0
+        return ~start & ~after_gap(self.frame, self.rows)
 
     def _levels(self, column: str) -> list[Any]:
         if column not in self.frame:
@@ -194,23 +215,50 @@ class Trials(Line):
         ValueError
             For an unknown column, or where nothing is left.
         """
-        keep = np.ones(len(self.frame), dtype=bool)
+        places: Index | None = None
         for column, value in chosen.items():
             checks.one_of("column", column, map(str, self.frame.columns))
             values = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
-            keep &= self.frame[column].isin(list(values)).to_numpy()
-        if not keep.any():
+            gathered = self._gathered(column)
+            of_each = [gathered[v] for v in dict.fromkeys(values) if v in gathered]
+            kept = np.sort(np.concatenate(of_each)) if of_each else np.zeros(0, dtype=np.intp)
+            places = kept if places is None else np.intersect1d(places, kept, assume_unique=True)
+        if places is None:
+            places = np.arange(len(self))
+        if not places.size:
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
             there = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
             raise Refusal(
                 f"{self.source}: no trials have {words}",
                 remedy=f"choose values that occur: {there}",
             )
-        known = notes_of(self.frame, self.rows)
-        others = (note for note in self.notes if note not in known)
-        frame = self.frame.loc[keep].reset_index(drop=True)
-        rows = (np.arange(1, len(self) + 1) if self.rows is None else self.rows)[keep]
-        return replace(self, frame=frame, notes=(*others, *notes_of(frame, rows)), rows=rows)
+        frame = self.frame.iloc[places].reset_index(drop=True)
+        rows = (np.arange(1, len(self) + 1) if self.rows is None else self.rows)[places]
+        part = replace(self, frame=frame, notes=(), rows=rows)
+        return replace(part, notes=(*self._lasting, *part.own_notes))
+
+    def _gathered(self, column: str) -> Mapping[Hashable, Index]:
+        """The rows of each value of a column, looked for once: a population takes each subject by
+        itself, and would go through the whole table for every one."""
+        known: dict[str, Mapping[Hashable, Index]] = self.__dict__.setdefault("_by_value", {})
+        if column not in known:
+            indices = self.frame.groupby(column, sort=False).indices
+            known[column] = {value: np.asarray(places) for value, places in indices.items()}
+        return known[column]
+
+    @cached_property
+    def own_notes(self) -> tuple[str, ...]:
+        """Notes on these rows: their order, and what is missing or there twice."""
+        order = (self.course.note,) if self.course.note else ()
+        return (*notes_of(self.frame, self.rows), *order)
+
+    @cached_property
+    def _lasting(self) -> tuple[str, ...]:
+        """The notes that hold of any part of the table."""
+        return tuple(note for note in self.notes if note not in self.own_notes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # not what is quickly remade
 
     def cells(self) -> Cells:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
@@ -240,37 +288,13 @@ class Trials(Line):
         answer = self.task.response if single else f"n_{_COUNT_NAMES[self.task.response]}"
         out = self.frame.rename(columns={"count": answer})
         out[answer] = out[answer].astype("Int64")
+        out = out if self.has_standards else out.drop(columns="standard")
         return out.drop(columns="n") if single else out
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `table()`; the file is complete or absent, never half-written."""
         atomic_write(path, csv_text(self.table()))
         return Path(path)
-
-
-#: What columns of subjects and of sessions are often called.
-LOOKS_LIKE = {
-    "subject": ("subject", "subj", "animal", "rat", "mouse", "participant", "observer"),
-    "session": ("session", "sess", "day", "date", "block", "run"),
-}
-
-
-def notes_of_pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
-    """Sentences on columns that look like subjects or sessions, where there are none of that name:
-    their trials are taken as one."""
-    notes: list[str] = []
-    for ours, names in LOOKS_LIKE.items():
-        for column in further if ours not in known else ():
-            words = re.split(r"[^a-z]+", str(column).lower())
-            values = further[column].nunique()
-            if set(words).intersection(names) and 1 < values <= len(further) / 2:
-                notes.append(
-                    f"The column {str(column)!r} has {values} values and is not used, so that all "
-                    f"trials are taken for one {ours}; "
-                    + argument("columns", {ours: str(column)})
-                    + " would keep them apart."
-                )
-    return notes
 
 
 def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:
@@ -311,7 +335,13 @@ def joined(parts: list[Trials]) -> Trials:
     if len(parts) == 1:
         return parts[0]
     frame = pd.concat([t.frame for t in parts], ignore_index=True)
-    return replace(parts[0], frame=frame, notes=notes_of(frame), rows=None)
+    words = {t.in_order for t in parts}
+    lasting = dict.fromkeys(note for t in parts for note in t._lasting)
+    return replace(
+        parts[0], frame=frame, notes=(*lasting, *notes_of(frame)), rows=None,
+        has_standards=all(t.has_standards for t in parts),
+        in_order=words.pop() if len(words) == 1 else None,
+    )  # fmt: skip
 
 
 def rows_in_words(rows: ArrayLike) -> str:
@@ -335,36 +365,6 @@ def check_trials(trials: Any) -> None:
 _COUNT_NAMES = {"choice": "greater", "correct": "correct"}
 
 
-def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str) -> Array:
-    """The standard of each trial, where the table names none.
-
-    The one value of four or more that occurs in every row is the standard. Where there is none, the
-    interval with fewer than half as many levels as the other holds the standards (interval 1 if
-    both do). Otherwise every unordered pair is its own standard, named by its middle (geometric for
-    magnitudes): the design of a rat that compares neighbours on a ladder of levels.
-    """
-    first_row = *stimulus_1[:1], *stimulus_2[:1]
-    everywhere = [v for v in first_row if ((stimulus_1 == v) | (stimulus_2 == v)).all()]
-    if len(everywhere) == 1 and np.unique([stimulus_1, stimulus_2]).size > 3:
-        return np.full(stimulus_1.shape, everywhere[0])
-    levels_1, levels_2 = np.unique(stimulus_1).size, np.unique(stimulus_2).size
-    if levels_1 == 1 or 2 * levels_1 < levels_2:
-        return stimulus_1
-    if levels_2 == 1 or 2 * levels_2 < levels_1:
-        return stimulus_2
-    if scale == "log":
-        return 0.5 * (stimulus_1 + stimulus_2)
-    return np.sqrt(stimulus_1) * np.sqrt(stimulus_2)
-
-
-def rounded_standards(standard: Array, scale: str) -> Array:
-    """Standards to twelve digits, so that those that differ by rounding alone are one."""
-    if scale == "log":
-        return np.round(standard, 12)
-    levels, place = np.unique(standard, return_inverse=True)
-    return np.array([float(f"{s:.12g}") for s in levels])[place]
-
-
 def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
     """Our names of the stimuli that a table has in mm alone, and its own."""
     return {
@@ -372,33 +372,6 @@ def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
         for name in (*STIMULI, "comparison")
         if f"{name}_mm" in table and name not in table
     }
-
-
-def session_block(frame: pd.DataFrame) -> Index:
-    """Which stretch of rows of one session each row lies in."""
-    new = np.zeros(len(frame), dtype=bool)
-    for label in ("subject", "session"):
-        if label in frame:
-            new |= (frame[label] != frame[label].shift(1)).to_numpy()
-    return np.cumsum(new)
-
-
-def in_order(frame: pd.DataFrame) -> bool:
-    """Whether rows come session by session, trials rising in each, as far as columns say."""
-    block = session_block(frame)
-    labels = frame[[label for label in ("subject", "session") if label in frame]]
-    if labels.size and block[-1] - block[0] >= len(labels.drop_duplicates()):
-        return False
-    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
-        return True
-    return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
-
-
-def after_gap(frame: pd.DataFrame) -> Flags:
-    """Where trial numbers of a session skip some: the trial before is not in the table."""
-    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
-        return np.zeros(len(frame), dtype=bool)
-    return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)
 
 
 def needs_order(trials: Trials, what: str) -> None:
@@ -417,11 +390,22 @@ def needs_rows(trials: Trials, what: str) -> None:
             "counts",
             "give the trials in their order",
         )
-    if not in_order(trials.frame):
+    if not trials.course.is_known:
         raise Refusal(
-            Advice(f"{trials.source}: ", what, " needs the trials in their order"),
-            "rows whose trial falls within a session, or sessions in pieces",
-            "sort by session and trial",
+            Advice(f"{trials.source}: ", what, " needs the trials in the order of their run"),
+            f"rows of which that is not known ({trials.course.why})",
+            "sort by session and trial and name these columns, or write "
+            + argument("in_order", True)
+            + " where the file is read",
+        )
+
+
+def needs_standards(trials: Trials, what: str) -> None:
+    if not trials.has_standards:
+        raise Refusal(
+            Advice(f"{trials.source}: ", what, " needs to know which stimulus is the standard"),
+            "none that is known",
+            "name its column, " + NAMING,
         )
 
 

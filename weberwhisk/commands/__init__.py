@@ -232,6 +232,8 @@ def _options(piece: Typed) -> list[str] | None:
     values = spelled.values(piece.value)
     if values is None:
         return None
+    if piece.value is False and spelled.values is _plain:
+        return [f"--no-{spelled.option.replace('_', '-')}"]
     each = [values] if isinstance(values, str) else values
     return [f"{option(spelled.option)} {value}".rstrip() for value in each]
 

@@ -153,7 +153,7 @@ def simulate(
 def fit(
     file: Annotated[
         Path,
-        "Table of trials: CSV or TSV (also .gz), Excel, Parquet, NWB or Bpod's .mat.",
+        "Table of trials: text (also .gz), Excel, .ods, Parquet, NWB or MATLAB's .mat.",
         {"metavar": "FILE"},
     ],
     column: Annotated[
@@ -163,16 +163,26 @@ def fit(
     ] = None,
     label: Annotated[
         opt.Texts,
-        "Which stimulus an answer calls greater, such as L=first, or none; may be repeated.",
-        {"metavar": "LABEL=first|second|none"},
+        "Which stimulus an answer calls greater, such as L=first, or whether it is correct, as in "
+        "hit=correct, or none; may be repeated.",
+        {"metavar": "LABEL=first|second|correct|wrong|none"},
     ] = None,
     task: Annotated[
         opt.Text, "2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on."
     ] = None,
     scale: Annotated[str, "linear, or log where stimuli are logarithms."] = "linear",
     log_unit: Annotated[opt.Number, "Natural-log units per unit of a log column, if known."] = None,
+    in_order: Annotated[
+        bool | None,
+        "Whether rows are in the order in which trials were run.  [default: read off the table]",
+    ] = None,
+    text_encoding: Annotated[
+        opt.Text, "Of a text, such as mac_roman.  [default: read off the text]"
+    ] = None,
     subject: Annotated[opt.Text, "The one to fit, where there are several."] = None,
-    session: Annotated[opt.Text, "Sessions, such as 31-40 or 1,2.", {"metavar": "LIST"}] = None,
+    session: Annotated[
+        opt.Text, "Sessions by name, or such as 31-40 or 1,2.", {"metavar": "LIST"}
+    ] = None,
     bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
     noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
@@ -224,7 +234,8 @@ def fit(
     from ..behaviour.effects import effect_named
 
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
-    trials = _trials(file, column, label, task, scale, log_unit, encoding)
+    reading = {"in_order": in_order, "text_encoding": text_encoding}
+    trials = _trials(file, column, label, task, scale, log_unit, encoding, reading)
     trials = _selected(trials, subject, session, together)
     if encoding is not None:
         _refuse_metres(trials, encoding)
@@ -281,13 +292,13 @@ def fit(
 
 def _trials(
     file: Path, column: opt.Texts, label: opt.Texts, task: str | None, scale: str,
-    log_unit: float | None, encoding: CueEncoding | None,
+    log_unit: float | None, encoding: CueEncoding | None, reading: dict[str, Any],
 ) -> ww.Trials:  # fmt: skip
     if not file.is_file():
         raise Refusal(f"{str(file)!r} is not a file", remedy="give the path of a table of trials")
     columns = opt.pairs("--column", column, "choice=response")
     if encoding is not None:
-        columns = _with_millimetres(file) | columns
+        columns = _with_millimetres(file, columns) | columns
         if scale != "linear":
             raise Refusal(
                 "Distances encoded through a whisker are on a linear scale",
@@ -296,17 +307,18 @@ def _trials(
             )
     labels = opt.pairs("--label", label, "L=first") or None
     return ww.read_trials(
-        file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit
-    )
+        file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit,
+        **reading,
+    )  # fmt: skip
 
 
-def _with_millimetres(file: Path) -> dict[str, str]:
+def _with_millimetres(file: Path, columns: dict[str, str]) -> dict[str, str]:
     """The stimulus columns whose names end in their unit, as `simulate` writes them."""
-    from ..behaviour.trials import in_millimetres
+    from ..behaviour.io import millimetres_beside
     from ..recordings.tables import load_table
 
     try:
-        return in_millimetres(load_table(file).frame)
+        return millimetres_beside(load_table(file).frame, columns)
     except ValueError:  # `read_trials` will raise it again
         return {}
 
@@ -361,30 +373,30 @@ def _selected(
             ),
         )
     if session is not None:
-        numbers_or_names = _sessions(session)
-        numeric = all(isinstance(s, int) for s in trials.sessions)
-        trials = trials.select(
-            session=numbers_or_names if numeric else list(map(str, numbers_or_names))
-        )
+        trials = trials.select(session=_sessions(session, trials.sessions))
     return trials
 
 
-def _sessions(text: str) -> list[int | str]:
-    """Whole numbers, ranges of them, or names.
+def _sessions(text: str, sessions: list[Any]) -> list[Any]:
+    """The sessions of that name, or of names with commas between, or in ranges of numbers.
 
     Examples
     --------
-    >>> _sessions("1,3-5")
-    [1, 3, 4, 5]
+    >>> _sessions("1,3-5", [1, 2, 3, 4, 5]), _sessions("10-03", ["10-03", "11-03"])
+    ([1, 3, 4, 5], ['10-03'])
     """
-    out: list[int | str] = []
+    names = {str(session): session for session in sessions}  # "1" is a number there
+    if text.strip() in names:
+        return [names[text.strip()]]
+    chosen: list[Any] = []
     for part in map(str.strip, text.split(",")):
         ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part)
-        if ends:
-            out.extend(range(int(ends[1]), int(ends[2]) + 1))
+        if ends and part not in names:
+            numbers = map(str, range(int(ends[1]), int(ends[2]) + 1))
+            chosen.extend(names.get(number, number) for number in numbers)
         else:
-            out.append(int(part) if part.isdecimal() else part)
-    return out
+            chosen.append(names.get(part, part))
+    return chosen
 
 
 def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:

@@ -54,7 +54,8 @@ def psychometrics(
     """Plot choices at each standard with 95 % binomial intervals, and the fitted curve.
 
     More than 40 different stimuli at a standard are drawn in 20 bins with as many trials each, and
-    more than 12 standards in four groups, against the ratio of the stimuli.
+    more than 12 standards in four groups, against the ratio of the stimuli; so are all choices in
+    one where it is not known which stimuli are standards.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def psychometrics(
     """
     given = None if axes is None else np.array(axes, dtype=object).ravel()
     panels = _panels(fit, standard, 4 if given is None else len(given))
-    count, in_groups = len(panels), standard is None and len(fit.standards) > MOST_STANDARDS
+    count, in_groups = len(panels), standard is None and _grouped(len(fit.standards))
     label = _stimulus_label(fit, unit, in_groups)
     if given is not None:
         if len(given) < count:
@@ -132,19 +133,24 @@ class _Panel:
 def _panels(fit: WeberFit, standard: float | None, most: int) -> list[_Panel]:
     """A panel for each standard, or for groups of them with as many trials each."""
     standards = fit.standards if standard is None else np.array([float(standard)])
-    if len(standards) <= MOST_STANDARDS:
+    if not _grouped(len(standards)):
         return [
             _Panel(f"standard {s:.3g}", partial(_choices, fit, standard=float(s)))
             for s in standards
         ]
     cells = fit.model.cells
-    group = _bins(cells.standard, cells.n, min(most, 4))
+    group = _bins(cells.standard, cells.n, min(most, 4) if len(standards) else 1)
     panels = []
-    for i in range(group.max() + 1):
+    for i in range(group.max(initial=-1) + 1):
         part = group == i
         low, high = cells.standard[part].min(), cells.standard[part].max()
         panels.append(_Panel(f"standards {low:.3g} to {high:.3g}", partial(_group, fit, part=part)))
     return panels
+
+
+def _grouped(standards: int) -> bool:
+    """Whether so many standards, or none that are known, are drawn together."""
+    return standards == 0 or standards > MOST_STANDARDS
 
 
 # -- the axes --------------------------------------------------------------------------------------
@@ -234,6 +240,9 @@ def _bins(x: Array, n: Array, bins: int) -> Index:
 def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
     """Positions on the axis of the choices at a standard, and their counts."""
     every = fit.trials.cells()
+    if not fit.trials.has_standards:
+        first, second = every.stimulus_1, every.stimulus_2
+        return second - first if _relative(fit) else standard * second / first, every
     if every.standard.size and not np.isclose(every.standard, standard).any():
         raise Refusal(
             f"standard {standard:g} has no answers to draw",
@@ -331,7 +340,7 @@ def population(
     if ax is not None or not fits:
         return shrinkage(fit, ax)
     standards = np.unique(np.concatenate([one.standards for one in fits.values()]))
-    in_groups = standards.size > MOST_STANDARDS
+    in_groups = _grouped(standards.size)
     places: list[float | None] = [None]
     if not in_groups:
         few = standards.size <= 3
@@ -375,7 +384,8 @@ def _of_animal(fit: WeberFit, standard: float | None) -> _Points:
 
 def _curve(fit: WeberFit, standard: float | None, x: Array) -> Array:
     """The median curve at places of the axis; at the middle standard where all are drawn."""
-    s = float(np.quantile(fit.standards, 0.5, method="nearest")) if standard is None else standard
+    standards = fit.standards if fit.standards.size else fit.model.cells.standard
+    s = float(np.quantile(standards, 0.5, method="nearest")) if standard is None else standard
     comparison = x if standard is not None else s * x
     low, high = fit.encoding.domain
     comparison = np.clip(x + s if _relative(fit) else comparison, low, high)

@@ -70,11 +70,11 @@ def _nothing(variables: Mapping[str, Any]) -> UnreadMatlab:
         return UnreadMatlab(
             "it holds nothing but MATLAB's own objects (table, string, categorical), which MATLAB "
             "alone reads",
-            "write writetable(T, 'trials.csv') there",
+            "save the table as CSV there, with writetable",
         )
     return UnreadMatlab(
         f"none of its variables ({', '.join([*variables][:6])}) has a value a trial",
-        "save vectors of one length, or write writetable(T, 'trials.csv') of a table",
+        "save vectors of one length, or a table as CSV, with writetable",
     )
 
 

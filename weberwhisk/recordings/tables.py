@@ -21,7 +21,7 @@ from typing import Any
 import pandas as pd
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument
 from .matlab import UnreadMatlab, matlab_table
 
 __all__ = ["Table", "as_number", "load_table"]
@@ -231,7 +231,7 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
 
 
 def _text_table(path: Path, row: str, names: frozenset[str], text_encoding: str | None) -> Table:
-    text, guessed = _decoded(path, text_encoding)
+    text, guessed = _decoded(path, row, text_encoding)
     lines = text.splitlines()
     blank = next((i for i, line in enumerate(lines) if line.strip()), None)
     if blank is None:
@@ -275,7 +275,7 @@ def _text_table(path: Path, row: str, names: frozenset[str], text_encoding: str 
     return Table(_numbered(raw), path.name, tuple(notes), guessed)
 
 
-def _decoded(path: Path, text_encoding: str | None) -> tuple[str, str | None]:
+def _decoded(path: Path, row: str, text_encoding: str | None) -> tuple[str, str | None]:
     """The text of a file, plain or compressed, and its encoding where that was guessed."""
     data = _plain_bytes(path)
     if text_encoding is not None:
@@ -299,9 +299,10 @@ def _decoded(path: Path, text_encoding: str | None) -> tuple[str, str | None]:
             continue
         if "\0" not in text:
             return text, guessed
+    named = ", or write " + argument("text_encoding", "mac_roman") + ", say"
     raise Refusal(
         f"{path.name}: not readable as text in UTF-8, UTF-16 or Windows-1252",
-        remedy="save it in UTF-8 (in Excel, CSV UTF-8)",
+        remedy="save it in UTF-8 (in Excel, CSV UTF-8)" + (named if row == "trial" else ""),
     )
 
 
@@ -341,8 +342,11 @@ def _separator(lines: list[str]) -> str | None:
 
 def _is_header(cells: Collection[object], names: Collection[str]) -> bool:
     """Whether the first row has names: one that is looked for, or no numbers."""
-    texts = {str(cell) for cell in cells}
-    return not texts.isdisjoint(names) or not any(map(_is_number, cells))
+    texts = [str(cell) for cell in cells]
+    if texts == [str(i + 1) for i in range(len(texts))]:
+        return True
+    words = {name for name in names if not _is_number(name)}  # a place may be named, too
+    return not words.isdisjoint(texts) or not any(map(_is_number, cells))
 
 
 def _no_header(cells: Collection[object]) -> str:
