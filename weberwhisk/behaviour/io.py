@@ -193,8 +193,8 @@ def read_trials(
     metres = 1e3 if lengths else 1.0
     shown_in = dict.fromkeys((*stimuli, "standard"))
     numbers = {c: check.numbers(c) / metres for c in shown_in if c in table}
-    known = {*SDS} <= {*table}  # located places, as `Trials.table` has them
-    sds = {c: check.numbers(c, least=0.0) / metres for c in SDS if known}
+    is_located = {*SDS} <= {*table}  # located places, as `Trials.table` has them
+    sds = {c: check.numbers(c, least=0.0) / metres for c in SDS if is_located}
     if scale == "linear":
         levels = np.unique(numbers.get("standard", np.zeros(0))).tolist()
         is_interval = "standard" not in stimuli and levels in ([1.0, 2.0], [0.0, 1.0])
@@ -234,25 +234,25 @@ def read_trials(
     standards = Standards(numbers["standard"]) if "standard" in numbers else None
     if standards is None:
         standards = standards_of(s1, s2, scale, chosen)
-    elif stimuli == FORMS[0] and not known:
+    elif stimuli == FORMS[0] and not is_located:
         standards = named_standards(standards.values, s1, s2, named_by, scale)
     notes += [standards.note] if standards.note else []
     shown = {"standard": rounded(standards.values, scale), "stimulus_1": s1, "stimulus_2": s2}
     frame = pd.DataFrame(labels | shown | {"n": n.astype(np.int64), "count": count} | sds)
-    rows = table.index.to_numpy()
+    places = table.index.to_numpy()
     used = {*frame, *(mapped | lengths).values(), *stimuli, *ANSWERS, "count"}
     further = raw[[column for column in raw if column not in used]].reset_index(drop=True)
     notes += notes_of_pooled(further, {*frame})
     frame = pd.concat([frame, further], axis=1)
     if in_order is None and (order := put_in_order(frame)) is not None:
-        frame, rows = frame.iloc[order].reset_index(drop=True), rows[order]
+        frame, places = frame.iloc[order].reset_index(drop=True), places[order]
         notes.append(
             "The rows were put in the order of their sessions and trials; "
             + argument("in_order", True)
             + " leaves them in that of the table."
         )
     frame.attrs["columns"] = dict(mapped)  # what the user calls them, for figures
-    read = Trials(frame, chosen, scale, log_unit, name, (), rows, standards.known, in_order)
+    read = Trials(frame, chosen, scale, log_unit, name, (), places, standards.are_known, in_order)
     return replace(read, notes=(*read.own_notes, *notes))
 
 
@@ -304,9 +304,9 @@ def _choose_columns(
             check.missing_column(column, "needed for the stimuli")
     sds = [c for c in SDS if c in mapping]
     if len(sds) == 1:
-        other = next(c for c in SDS if c not in sds)
-        if other not in expected:
-            check.missing_column(other, f"needed beside {sds[0]!r}")
+        second = next(c for c in SDS if c not in sds)
+        if second not in expected:
+            check.missing_column(second, f"needed beside {sds[0]!r}")
     answer = _answer_column(expected, mapping, task)
     if answer is None:
         answer = task.response if task else "choice"

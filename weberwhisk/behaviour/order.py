@@ -103,14 +103,14 @@ def trials_rise(frame: pd.DataFrame) -> bool:
     return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
 
 
-def after_gap(frame: pd.DataFrame, rows: Index | None) -> Flags:
+def after_gap(frame: pd.DataFrame, places: Index | None) -> Flags:
     """Where the trial before is not in the table: trial numbers of a session skip some, or, without
     numbers, places in the file do."""
     if is_numbered(frame):
         return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)
-    if rows is None:
+    if places is None:
         return np.zeros(len(frame), dtype=bool)
-    return np.diff(rows, prepend=rows[:1]) > 1
+    return np.diff(places, prepend=places[:1]) > 1
 
 
 def put_in_order(frame: pd.DataFrame) -> Index | None:
@@ -143,8 +143,8 @@ def words_of(column: object) -> list[str]:
     >>> words_of("SubjectID"), words_of("trial_start.time2")
     (['subject', 'id'], ['trial', 'start', 'time'])
     """
-    parts = re.sub(r"(?<=[a-zà-ÿ])(?=[A-Z])", " ", str(column))
-    return [word for word in re.split(r"[^a-zà-ÿ]+", parts.lower()) if word]
+    spaced = re.sub(r"(?<=[a-zà-ÿ])(?=[A-Z])", " ", str(column))
+    return [word for word in re.split(r"[^a-zà-ÿ]+", spaced.lower()) if word]
 
 
 def _time_column(frame: pd.DataFrame) -> str | None:

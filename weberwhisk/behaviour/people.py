@@ -26,20 +26,20 @@ LOOKS_LIKE = {
 MAY_BE = {"id", "uid", "code", "name", "initials", "user", "pp", "ss", "s", "obs", "part", "nr"}
 
 
-def notes_of_pooled(further: pd.DataFrame, known: set[str]) -> list[str]:
+def notes_of_pooled(further: pd.DataFrame, present: set[str]) -> list[str]:
     """Sentences on columns that look like subjects or sessions, where there are none of that name:
     their trials are taken as one."""
     notes, seen = [], False
     for ours, names in LOOKS_LIKE.items():
-        for column in further if ours not in known else ():
+        for column in further if ours not in present else ():
             words = {*words_of(column)}
             named = not names.isdisjoint(words)
-            few = 1 < further[column].nunique() <= len(further) / 2
+            repeated = 1 < further[column].nunique() <= len(further) / 2
             brief = ours == "subject" and len(words) == 1 and words <= MAY_BE
-            if few and (named or (brief and _in_stretches(further[column]))):
+            if repeated and (named or (brief and _in_stretches(further[column]))):
                 notes.append(_note(further[column], ours))
                 seen = True
-    if not seen and known.isdisjoint(LOOKS_LIKE):
+    if not seen and present.isdisjoint(LOOKS_LIKE):
         for column in further:
             words = {*words_of(column)}
             if words.isdisjoint(TIMES | DURATIONS) and _in_stretches(further[column]):

@@ -33,7 +33,7 @@ class Standards:
     """The standard of each trial (R,), whether it is known, and what to say of how it was found."""
 
     values: Array
-    known: bool = True
+    are_known: bool = True
     note: str = ""
 
 
@@ -44,8 +44,8 @@ def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str, task: Task) -
     --------
     >>> from weberwhisk.behaviour.tasks import task_named
     >>> first, second = np.array([1, 1, 4, 4, 1, 4.0]), np.array([2, 0.5, 3, 5, 1, 7.0])
-    >>> found = standards_of(first, second, "linear", task_named("2AFC"))
-    >>> found.values.tolist(), found.known
+    >>> standards = standards_of(first, second, "linear", task_named("2AFC"))
+    >>> standards.values.tolist(), standards.are_known
     ([1.0, 1.0, 4.0, 4.0, 1.0, 4.0], True)
     """
     s1, s2 = rounded(stimulus_1, scale), rounded(stimulus_2, scale)
@@ -60,17 +60,17 @@ def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str, task: Task) -
         said = "" if several == 1 else _guessed(several, "every pair has exactly one of them")
         return Standards(values, note=said)
     pairs = np.unique(np.stack([s1, s2]), axis=1)
-    for values, few, many, place, which in (
+    for values, levels, others, place, which in (
         (s1, first, second, 0, "first"), (s2, second, first, 1, "second")
     ):  # fmt: skip
         partners = np.unique(pairs[place], return_counts=True)[1]
-        if 2 * few <= many and partners.min() > 1:
-            why = f"the {which} stimulus has {few} values, and the other {many}"
-            return Standards(values, note=_guessed(few, why))
+        if 2 * levels <= others and partners.min() > 1:
+            why = f"the {which} stimulus has {levels} values, and the other {others}"
+            return Standards(values, note=_guessed(levels, why))
     middle = 0.5 * (s1 + s2) if scale == "log" else np.sqrt(s1) * np.sqrt(s2)
     return Standards(
         rounded(middle, scale),
-        known=False,
+        are_known=False,
         note="Nothing says which stimulus of a pair is the standard, so that no bias per standard, "
         "test of Weber's law or threshold from a standard is given; " + NAMING + " would name it.",
     )

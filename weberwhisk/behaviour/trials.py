@@ -240,11 +240,11 @@ class Trials(Line):
     def _gathered(self, column: str) -> Mapping[Hashable, Index]:
         """The rows of each value of a column, looked for once: a population takes each subject by
         itself, and would go through the whole table for every one."""
-        known: dict[str, Mapping[Hashable, Index]] = self.__dict__.setdefault("_by_value", {})
-        if column not in known:
+        kept: dict[str, Mapping[Hashable, Index]] = self.__dict__.setdefault("_by_value", {})
+        if column not in kept:
             indices = self.frame.groupby(column, sort=False).indices
-            known[column] = {value: np.asarray(places) for value, places in indices.items()}
-        return known[column]
+            kept[column] = {value: np.asarray(places) for value, places in indices.items()}
+        return kept[column]
 
     @cached_property
     def own_notes(self) -> tuple[str, ...]:
@@ -322,8 +322,13 @@ def joined(parts: list[Trials]) -> Trials:
     """Tables of one task, scale and unit, one below the other."""
     if not isinstance(parts, list | tuple):
         raise Refusal("parts must be a list of Trials", checks.shown(parts))
+    words, lasting = set(), dict[str, None]()
+    has_standards = True
     for part in parts:
         check_trials(part)
+        words.add(part.in_order)
+        lasting |= dict.fromkeys(part._lasting)
+        has_standards &= part.has_standards
     if not parts:
         raise Refusal("there are no tables to join", remedy="give one or more")
     kinds = {(t.task.name, t.scale, t.log_unit) for t in parts}
@@ -335,11 +340,9 @@ def joined(parts: list[Trials]) -> Trials:
     if len(parts) == 1:
         return parts[0]
     frame = pd.concat([t.frame for t in parts], ignore_index=True)
-    words = {t.in_order for t in parts}
-    lasting = dict.fromkeys(note for t in parts for note in t._lasting)
     return replace(
         parts[0], frame=frame, notes=(*lasting, *notes_of(frame)), rows=None,
-        has_standards=all(t.has_standards for t in parts),
+        has_standards=has_standards,
         in_order=words.pop() if len(words) == 1 else None,
     )  # fmt: skip
 
