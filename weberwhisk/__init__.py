@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from .recordings.locate import locate as locate
     from .sensitivity import information as information
     from .sensitivity import jnd_curve as jnd_curve
-    from .sensitivity import jnd_sweep as jnd_sweep
     from .whisker import Whisker as Whisker
 
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
@@ -63,7 +62,7 @@ _NAMES = {
     "array": "ArrayObserver WhiskerArray place",
     "mechanics": "Outcome bend choose_model flick_past press",
     "inference": "Observer Status posterior touches",
-    "sensitivity": "information jnd_curve jnd_sweep",
+    "sensitivity": "information jnd_curve",
     "behaviour": "Trials compare fit_population fit_weber read_trials simulate_population "
     "simulate_trials",
     "recordings": "calibrate locate read_tracking tracked_signals",

@@ -136,9 +136,12 @@ def whole_reach(count: int = 3000) -> None:
     curve = spent(lambda: ww.jnd_curve(observer, r, np.radians(8), seed=1))
     angles = np.radians(np.linspace(1, 25, 30))
     surface = spent(
-        lambda: ww.jnd_sweep(
-            W, 0.1, np.linspace(5e-3, 45e-3, 30), angles, n_readings=count // 30, seed=1
-        )
+        lambda: [
+            ww.jnd_curve(
+                observer, np.linspace(5e-3, 45e-3, 30), angle, n_readings=count // 30, seed=1
+            )
+            for angle in angles
+        ]
     )
     print(f"JND curve, 40 distances of 200 readings: {curve:.2f} s of CPU")
     print(f"JND surface, 30 × 30 contacts of {count // 30} readings: {surface:.1f} s of CPU")

@@ -138,29 +138,39 @@ def test_posteriors_have_the_propagated_width_at_small_noise():
     small_noise_limit(observer, np.array([[20e-3, 0.2], [35e-3, 0.2]]), draws=50, bias=5e-3)
 
 
+def _jnds(cue, contact):
+    """Fisher JNDs of each cue of a fusion, combined as if they shared only distance; and fused."""
+    observer = ww.Observer(W, cue)
+    contact = np.atleast_2d(contact)
+    each = np.stack([fisher_jnd(o, cue.part(o.cue, contact)) for o in fusing.alone(observer)])
+    with np.errstate(divide="ignore"):
+        optimal = np.sum(each**-2.0, axis=0) ** -0.5
+    return each.min(axis=0), optimal, fisher_jnd(observer, contact)
+
+
 def test_cues_that_share_distance_alone_combine_optimally():
     contact = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
-    table = ww.sensitivity.fused_jnds(ww.Observer(W, MAP_AND_TAP), contact)
-    assert np.allclose(table["together_mm"], table["optimal_mm"], rtol=1e-9)
-    assert np.all(table["together_mm"] < table["best_mm"])
-    assert np.all(table["gain"] <= np.sqrt(2) * (1 + 1e-9))
+    best, optimal, together = _jnds(MAP_AND_TAP, contact)
+    assert np.allclose(together, optimal, rtol=1e-9)
+    assert np.all(together < best)
+    assert np.all(best / together <= np.sqrt(2) * (1 + 1e-9))
 
 
 def test_cues_that_need_the_same_unknown_tell_more_together_than_optimal():
     """Moment and axial force: neither tells anything alone where the angle is unknown."""
-    pair = Fused(ForceMap("moment"), ForceMap("axial_force"))
-    table = ww.sensitivity.fused_jnds(ww.Observer(W, pair), [25e-3, 0.2])
-    assert np.isinf(table["best_mm"][0])
-    assert np.isinf(table["optimal_mm"][0])
+    best, optimal, together = _jnds(
+        Fused(ForceMap("moment"), ForceMap("axial_force")), [25e-3, 0.2]
+    )
+    assert np.isinf([best, optimal]).all()
     whole = fisher_jnd(ww.Observer(W, ForceMap()), [25e-3, 0.2])
-    assert table["together_mm"][0] == pytest.approx(1e3 * whole, rel=1e-9)
+    assert together[0] == pytest.approx(whole, rel=1e-9)
 
 
 def test_cues_that_share_a_prior_tell_less_together_than_optimal():
     """The stiffness is as well known beforehand as it is, once and not for each cue."""
-    table = ww.sensitivity.fused_jnds(ww.Observer(W, SOFT), [25e-3, 0.2, 1.0])
-    assert table["optimal_mm"][0] < 0.95 * table["together_mm"][0]
-    assert table["together_mm"][0] < table["best_mm"][0]
+    best, optimal, together = _jnds(SOFT, [25e-3, 0.2, 1.0])
+    assert optimal < 0.95 * together
+    assert together < best
 
 
 # -- bits --------------------------------------------------------------------------------------
@@ -195,7 +205,7 @@ def test_information_is_that_of_a_brute_force_sum(cue):
         (lambda: BLOCKS.sd([1.0, 2.0]), "This noise is of 4 signals, got 2"),
         (lambda: fusing.alone(ww.Observer(W, Compliance())), "Only a fusion has parts"),
         (
-            lambda: ww.sensitivity.fused_jnds(ww.Observer(W, TWO_TAPS, Weber(0.1)), 25e-3),
+            lambda: fusing.alone(ww.Observer(W, TWO_TAPS, Weber(0.1))),
             "cue by cue",
         ),
         (

@@ -77,17 +77,19 @@ with tempfile.TemporaryDirectory() as folder:
 """
 CAMPAIGN = """
 from weberwhisk._util.campaign import run, all_cores
-from weberwhisk.sensitivity.curves import jnd_rows
-tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
-       "radial_distance": [5e-3], "deflection_angle": None, "method": "quadrature",
-       "criterion": "d'=1", "n_readings": 4}
-chunks = [tap | {"weber_fraction": k} for k in (0.05, 0.1)]
+from functools import partial
+from weberwhisk.design import Evidence, Scheme, SubjectPopulation, taper
+from weberwhisk.design.simulation import experiments
+pair = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
+work = partial(experiments, scheme=Scheme([15e-3], [-2e-3, 2e-3]), hypotheses=pair,
+               animals=SubjectPopulation(), goal=Evidence(10))
+chunks = [{"truth": "tapered", "trials": n, "animals": 1, "runs": 2} for n in (5, 10)]
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
-    asked = run(jnd_rows, chunks, seed=1, workers=2)
+    asked = run(work, chunks, seed=1, workers=2)
 assert [str(w.message) for w in said] == [
     "a browser has no processes: the chunks are done serially."]
-assert asked.equals(run(jnd_rows, chunks, seed=1)) and all_cores(None, None) == 1
+assert asked.equals(run(work, chunks, seed=1)) and all_cores(None, None) == 1
 """
 
 

@@ -110,14 +110,6 @@ def test_power_and_recovery(cluster: str) -> None:
     assert np.isfinite(alone["estimate"]).all()
 
 
-def test_jnds(cluster: str) -> None:
-    alone, there = (
-        ww.jnd_sweep(WHISKER, [0.05, 0.1], [10e-3, 40e-3], n_readings=8, seed=1, **how)
-        for how in ({}, {"scheduler": cluster})
-    )
-    pd.testing.assert_frame_equal(there, alone)
-
-
 def test_the_command(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:
     few = ["--standard-mm", "10,30", "--level", "1,2", "--trials", "4", "--runs", "8", "--json"]
     answers = []

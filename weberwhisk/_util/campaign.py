@@ -98,15 +98,17 @@ def run(
 
     Examples
     --------
-    `weberwhisk.jnd_sweep` gives one chunk to each Weber fraction:
+    `weberwhisk.power` gives some hundred experiments of one size to each chunk:
 
-    >>> from weberwhisk.sensitivity.curves import jnd_rows
-    >>> tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
-    ...        "radial_distance": [5e-3], "deflection_angle": None,
-    ...        "method": "quadrature", "criterion": "d'=1", "n_readings": 4}
-    >>> table = run(jnd_rows, [tap | {"weber_fraction": k} for k in (0.05, 0.1)], seed=1)
-    >>> table["closed_form_mm"].round(3).tolist()
-    [0.226, 0.453]
+    >>> from functools import partial
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Evidence, Scheme, SubjectPopulation, taper
+    >>> from weberwhisk.design.simulation import experiments
+    >>> work = partial(experiments, scheme=Scheme([15e-3], [-2e-3, 2e-3]), goal=Evidence(10),
+    ...                hypotheses=taper(Whisker(50e-3, 1e-4, 5e-6)), animals=SubjectPopulation())
+    >>> chunks = [{"truth": "tapered", "trials": n, "animals": 1, "runs": 2} for n in (5, 10)]
+    >>> run(work, chunks, seed=1)["trials"].tolist()
+    [5, 5, 10, 10]
     """
     name = _name(work)
     plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]

@@ -14,20 +14,18 @@ from numpy.typing import ArrayLike
 
 from .._util.checks import generator, whole
 from .._util.refusals import Refusal
-from .._util.values import Array, pd, with_units
+from .._util.values import Array, pd
 from ..cues import Fused
 from ..cues.protocol import Cue
-from ..inference.coordinates import UNITS
 from ..inference.methods import sums_of
 from ..inference.observer import Observer
 from ..inference.result import distance_prior
 from ..inference.weighted import density_of_distance
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
-from .jnd import SD, criterion_factor, fisher_jnd
 
 __all__ = [
-    "Bits", "DistancePrior", "added_information", "alone", "fused_jnds", "information",
+    "Bits", "DistancePrior", "added_information", "alone", "information",
     "prior_draws",
 ]  # fmt: skip
 
@@ -272,54 +270,3 @@ def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed =
     rows.append(("all", *whole, *whole))
     columns = ["cue", "alone_bits", "alone_error_bits", "added_bits", "added_error_bits"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -> pd.DataFrame:
-    """JNDs of each cue of a fusion alone and of all together, one row per contact.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of a `Fused` cue.
-    contact : array, shape (..., U)
-        All unknowns of the fusion.
-    criterion : str
-        See `criterion_factor`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The unknowns, ``criterion`` and Fisher JNDs: of each cue, by its name; ``best_mm``, the
-        smallest of them; ``optimal_mm``, combined as if cues shared only the distance
-        (1/Δ² = Σ 1/Δᵢ²); ``together_mm``, of the fusion; and ``gain``, best over together. Where
-        cues share another unknown, together is better than optimal if one cue informs the other
-        about it, and worse if both depend on the same prior of it.
-
-    Raises
-    ------
-    ValueError
-        As for `alone`, and for a contact of the wrong shape.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker, cues
-    >>> fused = cues.Fused(cues.Compliance(), cues.ForceMap())
-    >>> table = fused_jnds(Observer(Whisker(50e-3, 100e-6, 5e-6), fused), [30e-3, 0.2])
-    >>> table[["best_mm", "optimal_mm", "together_mm"]].round(3)
-       best_mm  optimal_mm  together_mm
-    0    1.277       1.158        1.158
-    """
-    fused, parts = _fused(observer), alone(observer)
-    place = observer.checked(contact).reshape(-1, len(observer.unknowns))
-    factor = criterion_factor(criterion)
-    jnds = factor * np.stack([fisher_jnd(o, fused.part(o.cue, place)) for o in parts])
-    table = pd.DataFrame(dict(zip(observer.unknowns, place.T, strict=True)))
-    table["criterion"] = criterion
-    names = [f"{i}: {part.cue!r}" for i, part in enumerate(parts, start=1)]
-    table[names] = jnds.T
-    table["best"] = np.min(jnds, axis=0)
-    with np.errstate(divide="ignore"):  # infinite where no cue alone is informative
-        table["optimal"] = np.sum(jnds**-2.0, axis=0) ** -0.5
-    table["together"] = factor * fisher_jnd(observer, place)
-    table["gain"] = table["best"] / table["together"]
-    return with_units(table, [*names, "best", "optimal", "together"], units=UNITS)

@@ -1,21 +1,19 @@
-"""JND curves by every route, and sweeps over Weber fractions and contacts."""
+"""JND curves by every route, over distances and over numbers of touches."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, overload
+from typing import ClassVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._util import campaign, checks
+from .._util import checks
 from .._util.refusals import Refusal
 from .._util.values import Array, Shown, pd, with_units
-from ..cues import Compliance, ForceMap
-from ..inference import Observer, default_noise
+from ..inference import Observer
 from ..inference.coordinates import UNITS
 from ..inference.touches import shared_unknowns, touches
 from ..mechanics import elastica, flick_past, press
@@ -25,8 +23,7 @@ from ..whisker import Whisker
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 
 __all__ = [
-    "JNDCurve", "jnd_curve", "jnd_rows", "jnd_sweep", "linear_surface", "touches_jnd",
-    "up_to_the_fold",
+    "JNDCurve", "jnd_curve", "linear_surface", "touches_jnd", "up_to_the_fold",
 ]  # fmt: skip
 
 #: Columns of a `JNDCurve` that are JNDs, m.
@@ -288,97 +285,6 @@ def up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Arra
     limit = np.asarray(flick_past(whisker, r).deflection_angle)
     contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * shares), axis=-1)
     return contact, press(whisker, contact[..., 0], contact[..., 1]).contact_angle
-
-
-# -- sweeps ----------------------------------------------------------------------------------------
-
-
-def jnd_sweep(
-    whisker: Whisker, weber_fraction: ArrayLike, radial_distance: ArrayLike,
-    deflection_angle: ArrayLike | None = None, *, method: str = "quadrature", criterion: str = SD,
-    n_readings: int = 200, seed: int | np.random.SeedSequence, workers: int = 1,
-    scheduler: str | None = None, out: str | os.PathLike[str] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> pd.DataFrame:  # fmt: skip
-    """The JND for every combination of Weber fraction, deflection angle and distance.
-
-    With angles this is the surface of figure 4b by full posteriors: 30 distances × 30 angles × 100
-    readings take some 8 s on one core. Its columns ``propagation_mm`` and ``linear`` give the
-    paper's linear surface and where that is reliable.
-
-    Parameters
-    ----------
-    whisker : Whisker
-        A single whisker, not an array.
-    weber_fraction : array_like
-    radial_distance : array_like
-        m.
-    deflection_angle : array_like, optional
-        rad. With it the cue is the map of moment and axial force (§2f), without it a light tap
-        (§2e).
-    method, criterion, n_readings
-        As for `jnd_curve`.
-    seed, workers, scheduler, out, progress
-        As for `campaign.run`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``weber_fraction``, and the index and columns of `JNDCurve.table`.
-
-    Raises
-    ------
-    ValueError
-        For an array of whiskers, and as for `jnd_curve` and `campaign.run`.
-
-    Examples
-    --------
-    >>> table = jnd_sweep(Whisker(50e-3, 100e-6, 5e-6), [0.05, 0.1], [10e-3, 40e-3],
-    ...                   n_readings=20, seed=1)
-    >>> table[["weber_fraction", "radial_distance_mm", "closed_form_mm"]].round(3)
-       weber_fraction  radial_distance_mm  closed_form_mm
-    0            0.05                10.0           0.405
-    1            0.05                40.0           0.480
-    2            0.10                10.0           0.810
-    3            0.10                40.0           0.960
-    """
-    if not isinstance(whisker, Whisker):
-        raise Refusal(
-            "A sweep needs a Whisker", f"{whisker!r}", "write ww.Whisker.from_identity('C2'), say"
-        )
-    fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
-    if any(np.ndim(value) for value in fields.values()):
-        raise Refusal("A sweep has one whisker", f"{whisker!r}", "give its fields as numbers")
-    criterion_factor(criterion)
-    k = checks.positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
-    r = checks.distance("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
-    angles: list[float | None] = [None]
-    if deflection_angle is not None:
-        theta = checks.finite("deflection_angle", deflection_angle, "give radians")
-        angles = [*theta.ravel().tolist()]
-    how = {"radial_distance": r.tolist(), "method": method, "criterion": criterion,
-           "n_readings": n_readings}  # fmt: skip
-    chunks: list[dict[str, Any]] = [
-        {"whisker": fields, "weber_fraction": fraction, "deflection_angle": angle, **how}
-        for fraction in k.tolist()
-        for angle in angles
-    ]
-    return campaign.run(
-        jnd_rows, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out, title="JNDs",
-        progress=progress,
-    )  # fmt: skip
-
-
-def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
-    """The part of the sweep with one Weber fraction and deflection angle."""
-    whisker, k, how = Whisker(**chunk["whisker"]), chunk["weber_fraction"], dict(chunk)
-    del how["whisker"], how["weber_fraction"]
-    cue = Compliance() if how["deflection_angle"] is None else ForceMap()
-    noise = default_noise(whisker, cue, k)
-    curve = jnd_curve(Observer(whisker, cue, noise), seed=seed, **how)
-    table = curve.table.reset_index()
-    table.insert(0, "weber_fraction", k)
-    return table
 
 
 def _fisher_of_all(observer: Observer, contact: Array) -> float:
