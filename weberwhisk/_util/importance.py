@@ -1,0 +1,210 @@
+"""Weighted draws from densities of several dimensions, by importance sampling.
+
+Draws of a mixture of Student's t are weighted by the density over their own. Their places are
+scrambled Sobol points (Owen 1998), which leave a fraction of the error of random ones. For the same
+`seed` they are the same: with a fixed one a sum over draws is a quadrature rule, and what is read
+off it a function of the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
+
+from .values import Array
+from .weights import systematic
+
+__all__ = ["Component", "SobolPoints", "WeightedDraws", "adapted_draws", "weighted_draws"]
+
+LogDensity = Callable[[Array], Array]
+
+
+class Component(NamedTuple):
+    """A Student's t of a mixture: its centre (D,) and scale matrix (D, D)."""
+
+    centre: Array
+    scale: Array
+
+
+@dataclass(frozen=True)
+class WeightedDraws:
+    """Draws (N, D) and ln of their weights (N,): density over that of the proposal."""
+
+    values: Array
+    log_weight: Array
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of sum 1."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def effective(self) -> float:
+        """How many independent draws they are worth, 1/Σw²."""
+        return float(1 / np.square(self.weights).sum())
+
+    @property
+    def log_evidence(self) -> float:
+        """ln of the integral of the density."""
+        return float(logsumexp(self.log_weight) - np.log(len(self.values)))
+
+    def tempered(self, power: float) -> WeightedDraws:
+        """The same with weights to a power."""
+        return WeightedDraws(self.values, power * self.log_weight)
+
+    def resampled(self, size: int, rng: np.random.Generator) -> Array:
+        """Draws of equal weight, (size, D), in random order."""
+        return np.asarray(rng.permutation(self.values[systematic(self.weights, size, rng)]))
+
+
+class SobolPoints:
+    """Scrambled Sobol points in (0, 1), the next with every call.
+
+    Examples
+    --------
+    >>> points = SobolPoints(2, seed=1)
+    >>> points.next(100).shape, bool((points.next(3) != SobolPoints(2, seed=1).next(3)).all())
+    ((100, 2), True)
+    """
+
+    def __init__(self, dimensions: int, seed: int | np.random.Generator) -> None:
+        from scipy.stats import qmc
+
+        rng = np.random.default_rng(seed)
+        self._sobol = qmc.Sobol(dimensions, rng=rng)
+
+    def next(self, count: int) -> Array:
+        """So many points, (count, dimensions)."""
+        points = self._sobol.random(1 << (max(count, 1) - 1).bit_length())[:count]
+        return np.asarray(np.clip(points, 1e-12, 1 - 1e-12))
+
+
+def weighted_draws(
+    log_density: LogDensity,
+    mixture: Sequence[Component],
+    count: int,
+    points: SobolPoints,
+    df: float = 6.0,
+) -> WeightedDraws:
+    """Draws from as many of each Student's t, weighted.
+
+    Parameters
+    ----------
+    log_density : callable
+        Of places (N, D), (N,); −∞ is impossible.
+    mixture : sequence of Component
+    count : int
+        Of all draws, about.
+    points : SobolPoints
+        Of D + 1 dimensions.
+    df : float
+        Degrees of freedom.
+
+    Examples
+    --------
+    >>> normal = [Component(np.zeros(2), np.eye(2))]
+    >>> draws = weighted_draws(lambda x: -0.5 * (x**2).sum(axis=1), normal, 1000, SobolPoints(3, 1))
+    >>> bool(abs(draws.log_evidence - np.log(2 * np.pi)) < 0.01)
+    True
+    """
+    dim = mixture[0].centre.size
+    each = -(-count // len(mixture))
+    uniform = points.next(each * len(mixture)).reshape(len(mixture), each, dim + 1)
+    roots = [np.linalg.cholesky(one.scale) for one in mixture]
+    drawn = []
+    for one, root, u in zip(mixture, roots, uniform, strict=True):
+        wider = np.sqrt(0.5 * df / gammaincinv(0.5 * df, u[:, -1:]))
+        drawn.append(one.centre + wider * ndtri(u[:, :-1]) @ root.T)
+    values = np.concatenate(drawn)
+    norm = gammaln(0.5 * (df + dim)) - gammaln(0.5 * df) - 0.5 * dim * np.log(df * np.pi)
+    proposed = np.empty((len(mixture), len(values)))
+    for i, (one, root) in enumerate(zip(mixture, roots, strict=True)):
+        away = np.linalg.inv(root) @ (values - one.centre).T
+        proposed[i] = norm - np.log(np.diag(root)).sum()
+        proposed[i] -= 0.5 * (df + dim) * np.log1p(np.square(away).sum(axis=0) / df)
+    log_proposal = logsumexp(proposed, axis=0) - np.log(len(mixture))
+    return WeightedDraws(values, log_density(values) - log_proposal)
+
+
+def adapted_draws(
+    log_density: LogDensity,
+    mean: Array,
+    sd: Array,
+    points: SobolPoints,
+    *,
+    effective: float,
+    most: int = 100_000,
+    size: int = 2000,
+) -> WeightedDraws:
+    """Draws worth `effective` independent ones, if `most` in one round can be.
+
+    Adaptive importance sampling (Cappé et al. 2004; Bugallo et al. 2017): Student's t are fitted to
+    weighted draws again and again, the density first taken to a power below 1, so that no mode is
+    lost between the prior and where it was fitted last. One t stands for each quarter of the first
+    coordinate.
+
+    Parameters
+    ----------
+    log_density : callable
+        As for `weighted_draws`, normalised where the evidence is to be.
+    mean, sd : ndarray, shape (D,)
+        Where to begin: those of the prior.
+    points : SobolPoints
+        Of D + 1 dimensions.
+    effective, most, size
+        `size` is that of a pass while the proposal is fitted.
+    """
+    mixture = [Component(mean, np.diag(sd**2))]
+    for _ in range(30):
+        draws = weighted_draws(log_density, mixture, size, points)
+        power = _power(draws, size / 4)
+        mixture = _fitted(draws.tempered(power))
+        if power == 1.0:
+            break
+    count = 2 * size
+    for _ in range(8):  # now the density itself
+        draws = weighted_draws(log_density, mixture, count, points)
+        if draws.effective >= effective:
+            break
+        count = int(np.clip(1.3 * count * effective / draws.effective, count, most))
+        mixture = _fitted(draws)
+    return draws
+
+
+def _power(draws: WeightedDraws, least: float) -> float:
+    """The power of the weights under which draws are worth `least` independent ones."""
+    if draws.effective >= least:
+        return 1.0
+    below, above = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (below + above)
+        if draws.tempered(middle).effective < least:
+            above = middle
+        else:
+            below = middle
+    return max(below, 1e-9)  # most draws may be impossible
+
+
+def _fitted(draws: WeightedDraws) -> list[Component]:
+    """Weighted means and covariances of the quarters of the first coordinate, or of all draws where
+    a quarter of them would be too small for a covariance."""
+    values, weight = draws.values, draws.weights
+    dim = values.shape[1]
+    count = 1 if draws.effective < 4 * 20 * dim else 4
+    order = np.argsort(values[:, 0])
+    quarter = np.zeros(len(values))
+    quarter[order] = np.minimum(np.floor(count * np.cumsum(weight[order])), count - 1)
+    mixture = []
+    for part in range(count):
+        share = weight * (quarter == part)
+        mean = share @ values / share.sum()
+        off = values - mean
+        # Draws may all lie in one plane.
+        mixture.append(Component(mean, (off.T * share) @ off / share.sum() + 1e-8 * np.eye(dim)))
+    return mixture
