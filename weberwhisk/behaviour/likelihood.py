@@ -32,7 +32,7 @@ from .trials import Cells, Trials, check_trials, needs_standards
 
 __all__ = [
     "BIASES", "Draws", "WeberModel", "build_model", "encoding_of", "gather", "names_by_standard",
-    "pairs_shown",
+    "observer_model", "pairs_shown",
 ]  # fmt: skip
 
 BIASES = ("none", "shared", "per standard")
@@ -406,17 +406,31 @@ def build_model(
         raise Refusal(
             named("effects") + " must differ", ", ".join(e.name for e in bound), "name each once"
         )
+    believed = priors_for(priors, cells, trials.unit_known, task, by_name, [both])
+    model = observer_model(task, both, cells, believed, chosen, bound, columns)
+    return model, encoded, chosen
+
+
+def observer_model(
+    task: Task,
+    encodings: UnitEncodings,
+    cells: Cells,
+    priors: Priors,
+    bias: str,
+    effects: tuple[Effect, ...] = (),
+    columns: Array | None = None,
+) -> WeberModel:
+    """The model of an observer with no bias, a "shared" one, or one "per standard"."""
     names: tuple[str, ...] = ()
     group = np.zeros(cells.n.size, dtype=np.intp)
     label = task.bias_name or "bias"
-    if chosen == "shared":
+    if bias == "shared":
         names = (label,)
-    elif chosen == "per standard":
+    elif bias == "per standard":
         levels, group = np.unique(cells.standard, return_inverse=True)
         names = names_by_standard(label, levels)
-    believed = priors_for(priors, cells, trials.unit_known, task, by_name, [both])
-    model = WeberModel(task, both, cells, believed, group, names, bound, columns)
-    return model, encoded, chosen
+    none = np.zeros((0, 0)) if columns is None else columns
+    return WeberModel(task, encodings, cells, priors, group, names, effects, none)
 
 
 def names_by_standard(label: str, standards: Array) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from ..behaviour.encodings import (
     unit_encodings,
 )
 from ..behaviour.fit import WeberFit, fit_weber
-from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
+from ..behaviour.likelihood import BIASES, WeberModel, observer_model
 from ..behaviour.priors import DEFAULTS, Priors, of_task
 from ..behaviour.simulate import draw_animals
 from ..behaviour.tasks import Task, task_named
@@ -117,13 +117,7 @@ class Hypothesis(Fields):
         encoded = unit_encodings(
             self.encoding, cells.stimulus_1, cells.stimulus_2, cells.standard, self.noise
         )
-        label = self.asked.bias_name or "bias"
-        names: tuple[str, ...] = (label,) if self.bias == "shared" else ()
-        group = np.zeros(cells.n.size, dtype=np.intp)
-        if self.bias == "per standard":
-            levels, group = np.unique(cells.standard, return_inverse=True)
-            names = names_by_standard(label, levels)
-        return WeberModel(self.asked, encoded, cells, self.priors, group, names)
+        return observer_model(self.asked, encoded, cells, self.priors, self.bias)
 
     def fit(self, trials: Trials) -> WeberFit:
         """Fitted to a table as the planned analysis fits it, by quadrature for its evidence."""
