@@ -22,7 +22,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.effects import Drift, Overdispersion
 from weberwhisk.behaviour.encodings import ConstantNoise
-from weberwhisk.behaviour.posteriors import SampledPosterior
+from weberwhisk.behaviour.sampled import SampledPosterior
 from weberwhisk.design import Hypothesis, noises, taper
 
 TAPERED = Whisker(50e-3, 100e-6, 5e-6)

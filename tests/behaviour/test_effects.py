@@ -21,7 +21,6 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
-from weberwhisk.behaviour.criticism import checks
 from weberwhisk.behaviour.effects import (
     Contraction,
     Drift,
@@ -32,6 +31,7 @@ from weberwhisk.behaviour.effects import (
 )
 from weberwhisk.behaviour.encodings import Encoding, Signals
 from weberwhisk.behaviour.likelihood import WeberModel
+from weberwhisk.behaviour.predictive import checks
 
 Array = NDArray[np.float64]
 K, LOW, HIGH, BIAS = 0.12, 0.02, 0.03, 0.1

@@ -24,7 +24,7 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.integrate import of_fraction
+from weberwhisk.behaviour.bulk import of_fraction
 from weberwhisk.behaviour.population_fit import integrate_population
 
 Array = NDArray[np.float64]

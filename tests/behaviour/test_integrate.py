@@ -12,8 +12,8 @@ from scipy.special import logsumexp, ndtr
 
 from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.axes import log_lapses_possible, score_prior
-from weberwhisk.behaviour.effects import Floor
-from weberwhisk.behaviour.integrate import integrate, marginal
+from weberwhisk.behaviour.bulk import marginal
+from weberwhisk.behaviour.integrate import integrate
 from weberwhisk.behaviour.likelihood import WeberModel, build_model
 
 
@@ -81,9 +81,7 @@ def test_one_data_set_and_many_tell_the_same() -> None:
 
 
 def test_a_grid_that_would_be_too_large_is_given_up() -> None:
-    model = fit_weber(
-        simulate_trials(standards=[1.0, 4.0], trials_per_level=20, seed=7), effects=[Floor()]
-    ).model
+    model = fit_weber(simulate_trials(standards=[1.0, 4.0], trials_per_level=20, seed=7)).model
     assert np.isinf(integrate(model, most=1e4).error)
 
 

@@ -26,7 +26,13 @@ from weberwhisk.behaviour import (
     weber_law_test,
 )
 from weberwhisk.behaviour.effects import History
-from weberwhisk.behaviour.states import STATE_PRIORS, StateDraws, StateModel, target, with_states
+from weberwhisk.behaviour.states import (
+    STATE_PRIORS,
+    StateDraws,
+    StateModel,
+    StateTarget,
+    with_states,
+)
 
 Array = NDArray[np.float64]
 LEVELS = [-0.3, -0.2, -0.1, 0.1, 0.2, 0.3]
@@ -186,7 +192,7 @@ def test_importance_sampling_agrees_with_emcee() -> None:
     model = fit.model
     assert isinstance(model, StateModel)
     rng = np.random.default_rng(2)
-    density, dim = target(model).log_density, len(model.names)
+    density, dim = StateTarget(model).log_density, len(model.names)
     start = 0.3 * rng.standard_normal((1, 4, 24, dim))
     run = sample_stacked(
         lambda x: density(x.reshape(-1, dim)).reshape(x.shape[:2]), start, seed=rng,

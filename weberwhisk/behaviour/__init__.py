@@ -5,13 +5,14 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 """
 
 from .comparison import Comparison, WeberLawTest, compare, weber_law_test
-from .criticism import checks, quantile_residuals, residuals_by
+from .criticism import quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
 from .fit import StateFit, WeberFit, fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .located import simulate_moving, with_distances
 from .population_fit import PopulationFit, PopulationStatus, fit_population
+from .predictive import checks
 from .priors import Priors
 from .psychometric import response_probability, threshold
 from .simulate import simulate_population, simulate_trials

@@ -20,11 +20,12 @@ from .._util.refusals import Refusal, argument
 from .._util.sampling import pointwise_loo
 from .._util.values import Array, Index, Line, Shown
 from .axes import lapse_prior, score_prior
-from .criticism import Answers
+from .bulk import over_fractions
 from .estimates import Estimates, check_fit
 from .fit import WeberFit
-from .integrate import PosteriorGrid, integrate, over_fractions
-from .posteriors import QuadraturePosterior
+from .integrate import PosteriorGrid, integrate
+from .predictive import Answers
+from .quadrature import QuadraturePosterior
 from .trials import SDS, needs_standards
 from .verdict import strength
 
@@ -253,8 +254,8 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
         raise Refusal("the Weber fraction is fixed", remedy="give it a prior to test Weber's law")
     rows = []
     for standard, part in model.by_standard():
-        own = QuadraturePosterior(part.merged(), integrate(part.merged()), 0)
-        k = own.quantile("weber_fraction", [0.5, 0.025, 0.975])
+        alone = QuadraturePosterior.integrated(part.merged())
+        k = alone.quantile("weber_fraction", [0.5, 0.025, 0.975])
         rows.append((standard, int(part.cells.n.sum()), *k))
     table = pd.DataFrame(rows, columns=["standard", "n", "weber_fraction", "lower", "upper"])
     grid = integrate(model.merged())

@@ -60,7 +60,7 @@ class Estimates(Shown):
 
     @property
     def checked(self) -> pd.DataFrame:
-        """What `criticism.checks` finds; the fit has it too."""
+        """What `predictive.checks` finds; the fit has it too."""
         raise NotImplementedError
 
     @property

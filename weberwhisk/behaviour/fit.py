@@ -14,22 +14,24 @@ from .._util.campaign import one_blas_thread
 from .._util.refusals import Refusal, argument, named
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
-from . import criticism, report
+from . import criticism, predictive, report
 from .arviz_data import observer_data
 from .effects import Effect
 from .encodings import NOISES, Encoding
 from .estimates import Estimates, tails
-from .importance import Target
-from .integrate import integrate
+from .importance import ImportancePosterior, Target
 from .likelihood import build_model
 from .located import at_touches
-from .posteriors import QuadraturePosterior, WeberPosterior, sample
+from .posteriors import WeberPosterior
+from .quadrature import QuadraturePosterior
+from .sampled import sample
 from .states import (
     STATE_PRIORS,
     StateModel,
+    StatePosterior,
+    StateTarget,
     check_states,
     engagement,
-    state_posterior,
     with_states,
 )
 from .trials import Trials
@@ -66,8 +68,8 @@ class WeberFit(Estimates):
 
     @cached_property
     def checked(self) -> pd.DataFrame:
-        """What `weberwhisk.behaviour.criticism.checks` finds, a row a check."""
-        return criticism.checks(self)
+        """What `weberwhisk.behaviour.predictive.checks` finds, a row a check."""
+        return predictive.checks(self)
 
     @cached_property
     def _verdict(self) -> tuple[FitStatus, tuple[str, ...]]:
@@ -212,15 +214,15 @@ def fit_weber(
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where
         the levels were chosen to bracket the animal's thresholds. See `Priors`.
     method : {"quadrature", "importance", "emcee"}, optional
-        By default quadrature up to six parameters, five with overdispersion (biases of standards
-        count as one, as they are integrated one by one); importance sampling beyond and with
-        states. emcee is an independent check: it shares the model alone.
+        By default quadrature, and with effects or states importance sampling. emcee is an
+        independent check: it shares the model alone.
     distances : DataFrame or path, optional
         Where the touches of each trial were located (`ww.locate`), in place of nominal distances,
         or the contacts to locate by the observer's whisker; see `with_distances`. Of an observer
         that does not know the deflection angle, it is then the median of those located.
     seed : int, SeedSequence or Generator
-        Of the sampler, and of draws from the posterior.
+        Of draws from the posterior. Estimates, evidence and `status` depend on the data alone, but
+        for emcee.
 
     Returns
     -------
@@ -250,9 +252,7 @@ def fit_weber(
     model, encoded, chosen = build_model(
         trials, encoding, observer, bias, noise, priors, effects, further
     )
-    # A grid takes seven times as long with each parameter, overdispersed three times as long again.
-    size = sum(model.free) + model.free_bias + (model.dispersed is not None)
-    by_itself = "quadrature" if size <= 6 and states == 1 else "importance"
+    by_itself = "importance" if model.effects or states > 1 else "quadrature"
     used = by_itself if method is None else method
     checks.one_of("method", used, METHODS)
     rng = checks.generator(seed)
@@ -264,14 +264,21 @@ def fit_weber(
                 "leave " + named("method") + " out",
             )
         chain = with_states(model, trials, encoded, states)
-        found = state_posterior(chain, rng)
-        return StateFit(trials, chain, encoded, noise, chosen, used, found)
-    fewer = model.merged()
+        target = StateTarget(chain)
+        of_states = StatePosterior(target, target.weighted(), int(rng.integers(2**63)))
+        return StateFit(trials, chain, encoded, noise, chosen, used, of_states)
+    if used == "quadrature" and model.effects:
+        raise Refusal(
+            "quadrature is for observers without effects",
+            ", ".join(effect.name for effect in model.effects),
+            "leave " + named("method") + " out",
+        )
+    merged = model.merged()
     posterior: WeberPosterior
     if used == "emcee":
-        posterior = sample(fewer, seed=rng)
+        posterior = sample(merged, seed=rng)
     elif used == "importance":
-        posterior = Target(fewer).posterior(rng)
+        posterior = ImportancePosterior.sampled(Target(merged), int(rng.integers(2**63)))
     else:
-        posterior = QuadraturePosterior(fewer, integrate(fewer), int(rng.integers(2**63)))
+        posterior = QuadraturePosterior.integrated(merged, int(rng.integers(2**63)))
     return WeberFit(trials, model, encoded, noise, chosen, used, posterior)

@@ -34,12 +34,13 @@ from .._util.values import (
     methods_text,
     weighted_quantiles,
 )
+from .._util.weights import log_error
 from ..inference.coordinates import in_words
-from .criticism import FALSE_ALARMS
+from .bulk import of_fraction
 from .estimates import tails
 from .fit import WeberFit, fit_weber
-from .integrate import half_grid_error, of_fraction
 from .likelihood import encoding_of, pairs_shown
+from .predictive import FALSE_ALARMS
 from .priors import SPREAD, Priors, check_distribution, priors_for
 from .report import encoding_in_words, engine_in_words, priors_in_words, sentence
 from .trials import Trials, check_trials
@@ -543,7 +544,7 @@ def integrate_population(
     total = mass.sum()
     mass /= total
     cell = (place[1] - place[0]) * (tau[1] - tau[0])
-    error = max(half_grid_error(mass.sum(axis=i)) ** 2 for i in (0, 1))
+    error = max(log_error(mass.sum(axis=i)) ** 2 for i in (0, 1))
     # Where a prior ends between two nodes, half a cell beside each may be misjudged.
     possible = np.isfinite(log_mass)
     error = max(error, 0.5 * float(mass[possible & binary_dilation(~possible)].sum()))

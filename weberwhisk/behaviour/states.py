@@ -28,7 +28,7 @@ from .._util import checks
 from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
-from .importance import ImportancePosterior, Target, weighted_draws
+from .importance import ImportancePosterior, Target
 from .likelihood import Draws, WeberModel, gather
 from .order import is_numbered, session_block
 from .posteriors import split
@@ -36,8 +36,8 @@ from .priors import REACH
 from .trials import Trials, needs_rows
 
 __all__ = [
-    "STATE_PRIORS", "StateDraws", "StateModel", "StatePosterior", "States", "check_states",
-    "engagement", "state_posterior", "streaks", "target", "with_states",
+    "STATE_PRIORS", "StateDraws", "StateModel", "StatePosterior", "StateTarget", "States",
+    "check_states", "engagement", "streaks", "with_states",
 ]  # fmt: skip
 
 _UNIFORM, _SWITCH = stats.beta(1.0, 1.0), stats.beta(1.0, 19.0)
@@ -324,18 +324,40 @@ class StateModel(WeberModel):
 
 
 @dataclass(frozen=True)
+class StateTarget(Target):
+    """The density of vectors of an observer with states, the scores of these last."""
+
+    model: StateModel
+
+    @property
+    def further(self) -> int:
+        return len(self.model.free_states)
+
+    def parameters(self, theta: Array) -> StateDraws:
+        return self.model.draws_of(theta)
+
+    def log_likelihood(self, draws: Draws) -> Array:
+        assert isinstance(draws, StateDraws)
+        return self.model.chain(draws)[0]
+
+
+@dataclass(frozen=True, repr=False)
 class StatePosterior(ImportancePosterior):
-    """Draws of an observer with states."""
+    """Weighted draws of an observer with states."""
+
+    target: StateTarget
+
+    def recomputed(self, model: WeberModel) -> None:
+        return None
 
     def score_curve(self) -> tuple[Array, Array]:
-        axis = np.linspace(-REACH, REACH, 73)
-        few = self.sample.thinned(60)
-        assert isinstance(few, StateDraws)
-        assert isinstance(self.model, StateModel)
-        every = few.at(np.repeat(np.arange(len(few)), axis.size))
-        k = np.tile(self.model.value("weber_fraction", axis), len(few))
-        log, _ = self.model.chain(replace(every, weber_fraction=k))
-        log = log.reshape(len(few), axis.size) - 0.5 * axis**2
+        model, axis = self.target.model, np.linspace(-REACH, REACH, 73)
+        thinned = self.reproducible_draws().thinned(60)
+        assert isinstance(thinned, StateDraws)
+        every = thinned.at(np.repeat(np.arange(len(thinned)), axis.size))
+        k = np.tile(model.value("weber_fraction", axis), len(thinned))
+        log, _ = model.chain(replace(every, weber_fraction=k))
+        log = log.reshape(len(thinned), axis.size) - 0.5 * axis**2
         return axis, logsumexp(log - logsumexp(log, axis=1, keepdims=True), axis=0)
 
 
@@ -392,38 +414,19 @@ def check_states(n_states: Any) -> int:
     return int(n_states)
 
 
-def target(model: StateModel) -> Target:
-    """The posterior over vectors of an observer with states."""
-
-    def log_likelihood(draws: Draws) -> Array:
-        assert isinstance(draws, StateDraws)
-        return model.chain(draws)[0]
-
-    return Target(model, len(model.free_states), model.draws_of, log_likelihood)
-
-
-def state_posterior(model: StateModel, rng: np.random.Generator) -> StatePosterior:
-    """The posterior of an observer with states."""
-    return StatePosterior(**vars(target(model).posterior(rng)))
-
-
 def streaks(
-    model: WeberModel,
-    log_evidence: float,
-    trials: Trials,
-    encoding: Encoding,
-    rng: np.random.Generator,
+    model: WeberModel, log_evidence: float, trials: Trials, encoding: Encoding, effective: float
 ) -> float:
     """Log Bayes factor of two or three states, each as likely, over one of that evidence.
 
-    It is that of a few hundred draws, right to a tenth of a nat.
+    It is that of draws worth so many independent ones: of 200 right to a tenth of a nat.
     """
-    found = []
+    factors = []
     for n_states in STATE_PRIORS:
-        over = target(with_states(model, trials, encoding, n_states))
-        rough = weighted_draws(over.log_density, *over.start, rng, wanted=200, size=500)
-        found.append(rough.log_evidence - log_evidence)
-    return float(logsumexp(found) - np.log(len(found)))
+        target = StateTarget(with_states(model, trials, encoding, n_states))
+        draws = target.weighted(effective, size=500)
+        factors.append(draws.log_evidence - log_evidence)
+    return float(logsumexp(factors) - np.log(len(factors)))
 
 
 def engagement(model: StateModel, draws: Draws, seed: int) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from .._util.refusals import argument
 from .._util.values import Array
 from .integrate import integrate
 from .likelihood import WeberModel
-from .posteriors import QuadraturePosterior, WeberPosterior
+from .posteriors import WeberPosterior
 
 __all__ = ["FitStatus", "lapse_sensitivity", "strength", "too_few_kinds", "verdict"]
 
@@ -218,25 +218,26 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     Lapses and a poor Weber fraction explain the same errors, so the belief about lapses moves k, by
     less the more easy trials there are. Rows `lapses`: "as fitted", "never", "seldom" (Beta(1, 20))
     and "often" (Beta(1, 9)), the first alone where the Weber fraction is fixed, the task has no
-    free lapse, or there is no grid; `log_bayes_factor` is that of each belief against the fit's,
-    and `change` is relative to the fit.
+    free lapse, or the fit is by emcee or with states; `log_bayes_factor` is that of each belief
+    against the fit's, and `change` is relative to the fit.
     """
-    own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
-    rows = [("as fitted", *own, 0.0)]
+    levels = [0.5, 0.025, 0.975]
+    fitted = list(posterior.quantile("weber_fraction", levels))
+    rows = [("as fitted", *fitted, 0.0)]
     free = [n for n in model.task.lapses if n in model.names]
-    if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
+    if free and "weber_fraction" in model.names:
         beliefs = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
         for words, belief in beliefs.items():
             changed: dict[str, Any] = dict.fromkeys(free, belief)
             priors = replace(model.priors, **changed)
-            other = replace(model, priors=priors).merged()
-            grid = QuadraturePosterior(other, integrate(other), 0)
-            quantiles = grid.quantile("weber_fraction", [0.5, 0.025, 0.975])
-            factor = grid.grid.log_evidence - posterior.grid.log_evidence
-            rows.append((words, *quantiles, factor))
+            under = posterior.recomputed(replace(model, priors=priors).merged())
+            if under is None or under.log_evidence is None or posterior.log_evidence is None:
+                break
+            factor = under.log_evidence - posterior.log_evidence
+            rows.append((words, *under.quantile("weber_fraction", levels), factor))
     columns = ["lapses", "weber_fraction", "lower", "upper", "log_bayes_factor"]
     table = pd.DataFrame(rows, columns=columns)
-    table["change"] = table["weber_fraction"] / own[0] - 1
+    table["change"] = table["weber_fraction"] / fitted[0] - 1
     return table
 
 

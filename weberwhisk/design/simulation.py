@@ -21,8 +21,8 @@ from scipy.stats import beta as beta_distribution
 from .._util.campaign import one_blas_thread
 from .._util.values import Array, density_quantiles
 from ..behaviour.axes import score_prior
+from ..behaviour.bulk import log_sum, marginal
 from ..behaviour.fit import fit_weber
-from ..behaviour.integrate import log_sum, marginal
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population_fit import log_product, normal_weights
 from ..behaviour.priors import SPREAD, Priors

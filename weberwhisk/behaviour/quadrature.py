@@ -1,0 +1,219 @@
+"""The posterior of one observer on a grid: marginals, quantiles, and independent draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates, spline_filter
+
+from .._util.values import Array, Fields
+from .axes import bias_at
+from .integrate import PosteriorGrid, density_of, integrate, log_marginal
+from .likelihood import Draws, WeberModel
+from .posteriors import find_mode, named_values
+
+__all__ = ["QuadraturePosterior"]
+
+
+@dataclass(frozen=True, repr=False)
+class QuadraturePosterior(Fields):
+    """The posterior integrated by quadrature; draws from it are independent and exact."""
+
+    model: WeberModel
+    grid: PosteriorGrid
+    seed: int = 0
+    n_draws: int = 4000
+    chains: int = 4
+    _curves: dict[str, tuple[Array, Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @classmethod
+    def integrated(cls, model: WeberModel, seed: int = 0) -> QuadraturePosterior:
+        """The posterior of a model without effects."""
+        return cls(model, integrate(model), seed)
+
+    def recomputed(self, model: WeberModel) -> QuadraturePosterior:
+        return self.integrated(model)
+
+    @property
+    def log_evidence(self) -> float:
+        return self.grid.log_evidence
+
+    @property
+    def error(self) -> float:
+        return self.grid.error
+
+    @property
+    def trouble(self) -> str:
+        if np.isinf(self.grid.error):
+            return "the posterior is too long and thin for a grid, and the integral was given up"
+        if self.grid.error > 0.01:
+            return f"the integral has an estimated error of {100 * self.grid.error:.2g} %"
+        return ""
+
+    def _curve(self, name: str) -> tuple[Array, Array, Array]:
+        """Values (rising), their cumulative probability, and the weight of each in a mean."""
+        if name not in self._curves:
+            self._curves[name] = self._make_curve(name)
+        return self._curves[name]
+
+    def _make_curve(self, name: str) -> tuple[Array, Array, Array]:
+        if name not in self.model.names:
+            fixed = float(self.model.fixed_value(name))
+            return np.array([fixed, fixed]), np.array([0.0, 1.0]), np.array([0.5, 0.5])
+        if name in self.model.lead:
+            place = self.model.lead.index(name)
+            axis = self.grid.axes[place]
+            fine, density = density_of(axis, log_marginal(self.grid.joint, place))
+            values = self.model.at(name, fine)
+        else:
+            values, density = self._bias_density(self.model.group_names.index(name))
+        cdf = cumulative_trapezoid(density, initial=0)
+        return values, cdf / cdf[-1], density / density.sum()
+
+    def _bias_density(self, group: int) -> tuple[Array, Array]:
+        """Density of one bias: the mixture over k of its conditionals, each a spline."""
+        blocks = self.grid.biases[group]
+        most = max(block.mass.sum(axis=1).max() for block in blocks)
+        factor = 32  # finer than the nodes of one conditional, so that it fills the common axis
+        places, weights = [], []
+        for nodes, mass in blocks:
+            above = mass.sum(axis=1) > 1e-7 * most
+            if not above.any():
+                continue
+            count = nodes.shape[1]
+            finer = np.linspace(0, count - 1, factor * (count - 1) + 1)
+            log_mass = np.log(np.maximum(mass[above], 1e-40))
+            weights.append(np.exp(CubicSpline(np.arange(count), log_mass, axis=1)(finer)).ravel())
+            score = nodes[above, :1] + (nodes[above, 1:2] - nodes[above, :1]) * finer
+            places.append(bias_at(self.model, score).ravel())
+        place, weight = np.concatenate(places), np.concatenate(weights)
+        keep = weight > 1e-12 * weight.max()
+        place, weight = place[keep], weight[keep]
+        fine = np.linspace(place.min(), place.max(), 801)
+        # Each node's mass is shared between the two nearest points of the common axis.
+        at = (place - fine[0]) / (fine[1] - fine[0])
+        left = np.minimum(at.astype(np.intp), fine.size - 2)
+        share = at - left
+        density = np.bincount(left, weight * (1 - share), fine.size)
+        density = density + np.bincount(left + 1, weight * share, fine.size)
+        return fine, density.astype(float)
+
+    def quantile(self, name: str, probability: ArrayLike) -> Array:
+        values, cdf, _ = self._curve(name)
+        return np.interp(np.asarray(probability, dtype=float), cdf, values)
+
+    def mean(self, name: str) -> float:
+        values, _, weight = self._curve(name)
+        return float(weight @ values)
+
+    def sd(self, name: str) -> float:
+        values, _, weight = self._curve(name)
+        return float(np.sqrt(weight @ (values - weight @ values) ** 2))
+
+    def score_curve(self) -> tuple[Array, Array]:
+        log_density = log_marginal(self.grid.joint, 0)
+        above = np.flatnonzero(np.isfinite(log_density))
+        span = slice(above[0], above[-1] + 1)
+        return self.grid.axes[0][span], log_density[span]
+
+    def mode(self) -> dict[str, float]:
+        if not self.model.names:
+            return {}
+        node = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
+        point = np.array([a[i] for a, i in zip(self.grid.axes, node, strict=True)])
+        names = self.model.group_names if self.model.free_bias else ()
+        biases = [float(self.quantile(name, 0.5)) for name in names]
+        start = np.r_[self._scores(point)[np.flatnonzero(self.model.free)], biases]
+        return named_values(self.model, find_mode(self.model, start)[0])
+
+    def draws(self) -> Draws:
+        return self._draws
+
+    def reproducible_draws(self) -> Draws:
+        return self._draws if self.seed == 0 else self._reproducible_draws
+
+    @cached_property
+    def _draws(self) -> Draws:
+        return self._drawn(np.random.default_rng(self.seed))
+
+    @cached_property
+    def _reproducible_draws(self) -> Draws:
+        return self._drawn(np.random.default_rng(0))
+
+    def _drawn(self, rng: np.random.Generator) -> Draws:
+        coordinates = self._lead_draws(rng)
+        bias = self._bias_draws(rng, coordinates)
+        return self.model.draws_at(self._scores(coordinates), bias)
+
+    def _lead_draws(self, rng: np.random.Generator) -> Array:
+        """Coordinates of k and lapses by rejection, (N, 3): proposed from the grid,
+        interpolated linearly, kept by a cubic spline of its log density."""
+        free = [i for i, axis in enumerate(self.grid.axes) if axis.size > 1]
+        out = np.zeros((self.n_draws, len(self.grid.axes)))
+        if not free:
+            return out
+        first, step = np.array([(a[0], a[1] - a[0]) for a in (self.grid.axes[i] for i in free)]).T
+        log = self.grid.joint.squeeze() - self.grid.joint.max()
+        # A spline through the fall to empty nodes would ring.
+        log = np.maximum(log, log[np.isfinite(log)].min() - 1.0)
+        spline, last = spline_filter(log), np.array(log.shape) - 1
+        cumulative = np.cumsum(np.exp(log).ravel())
+        kept, count, bound = [], 0, 0.0
+        while count < self.n_draws:
+            node = np.searchsorted(cumulative, rng.random(2048) * cumulative[-1], side="right")
+            place = np.array(np.unravel_index(node, log.shape), dtype=float)
+            place += rng.random(place.shape) - rng.random(place.shape)
+            place = place[:, ((place >= 0) & (place <= last[:, None])).all(axis=0)]
+            inside = map_coordinates(np.exp(log), place, order=1)
+            ratio = np.exp(map_coordinates(spline, place, prefilter=False)) / inside
+            # The largest ratios are far out, where hardly anything is proposed.
+            bound = bound or float(np.quantile(ratio, 0.999))
+            kept.append(place[:, rng.random(ratio.size) * bound < ratio])
+            count += kept[-1].shape[1]
+        out[:, free] = first + step * np.hstack(kept)[:, : self.n_draws].T
+        return out
+
+    def _scores(self, t: Array) -> Array:
+        """Scores at grid coordinates, (..., lead)."""
+        columns = [s.score(t[..., i]) for i, s in enumerate(self.model.transforms)]
+        return np.stack(columns, axis=-1)
+
+    def _bias_draws(self, rng: np.random.Generator, t: Array) -> Array:
+        """Biases (N, G) given the rest, at coordinates (N, lead), on nodes where the grid found
+        the bias to be."""
+        m = self.model
+        if not m.free_bias:
+            return np.full((len(t), m.n_groups), m.fixed_bias())
+        k, effects, low, high = m.at_scores(self._scores(t))
+        first, last = self._bias_span(t[:, 0])
+        share = np.linspace(0, 1, 4 * (self.grid.bias_nodes - 1) + 1)
+        out = np.empty(first.shape)
+        rows = max(1, 40_000 // (share.size * max(m.cells.n.size, 1)))
+        for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
+            step = (last[i] - first[i]) * share[1]
+            score = first[i, None] + (last - first)[i, None] * share[:, None]
+            by_cell = m.cell_log_likelihood(
+                k[i, None], low[i, None], high[i, None], bias_at(m, score), effects[i, None]
+            )
+            log_mass = by_cell @ m.membership - 0.5 * score**2
+            below = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
+            node = (below < rng.random((len(step), 1, m.n_groups)) * below[:, -1:]).sum(axis=1)
+            at = np.take_along_axis(score, node[:, None], axis=1)[:, 0]
+            out[i] = at + step * (rng.random(at.shape) - rng.random(at.shape))
+        return bias_at(m, out)
+
+    def _bias_span(self, k: Array) -> tuple[Array, Array]:
+        """Between which scores each bias lies, (M, G), by the nodes of k on either side."""
+        nodes = self.grid.axes[0]
+        left = np.clip(np.searchsorted(nodes, k, side="right") - 1, 0, nodes.size - 1)
+        right = np.minimum(left + 1, nodes.size - 1)
+        first = [np.minimum(s.first[left], s.first[right]) for s in self.grid.windows]
+        last = [np.maximum(s.last[left], s.last[right]) for s in self.grid.windows]
+        return np.stack(first, axis=1), np.stack(last, axis=1)
