@@ -22,13 +22,17 @@ LIST = Path(__file__).with_name("durations.txt")
 #: CPU seconds; of a test with parameters the mean of its cases.
 LIMIT = 0.5
 #: Tests that take longer and are quick all the same: the only ones of the quick tier that run a
-#: plan's files and figures, tracked signals, a power, a plan's analysis, mixtures over shapes and
-#: noise, and touches of one distance.
+#: plan's files, figures and analysis, tracked signals, a power, mixtures over shapes and noise, the
+#: place of an object, contacts at which flank and tip alternate, and touches of one distance.
 QUICK = {
+    "tests/array/test_array.py::test_one_whisker_alone_says_what_its_posterior_says",
     "tests/design/test_power.py::test_power_is_that_of_a_brute_force_simulation",
     "tests/inference/test_touches.py::test_one_touch_is_todays_posterior",
     "tests/recordings/test_locate.py::test_own_names_units_signs_and_index",
     "tests/recordings/test_tracking_signals.py::test_a_session_gives_back_its_distances",
+    "tests/sweeping/test_objects.py::test_a_wall_is_met_with_the_tip_then_with_the_flank",
+    "weberwhisk/array/place.py::weberwhisk.array.place.place",
+    "weberwhisk/design/plan.py::weberwhisk.design.plan.analyse",
     "weberwhisk/plots/designs.py::weberwhisk.plots.designs.rehearsed",
     "weberwhisk/plots/designs.py::weberwhisk.plots.designs.write_plan",
 }

@@ -86,7 +86,7 @@ def test_a_rolled_whisker_is_met_at_rest():
     [
         (lambda: ww.press(CURVED, 3e-2, 0.1, model="elastica"), "curvature is not modelled by the"),
         (lambda: ww.bend(STRAIGHT, 3e-2, 1e-5, 0.1, model="closed_form"), "Friction is not model"),
-        (lambda: ww.press(CURVED, 3e-2, 0.1, roll=0.1, model="profile"), 'write model="rod"'),
+        (lambda: ww.press(CURVED, 3e-2, 0.1, roll=0.1, model="profile"), "write model='rod'"),
         (lambda: ww.press(Profile.of(STRAIGHT), 3e-2, 0.1, model="elastica"), "stiffness profile"),
         (lambda: ww.bend(CURVED, 3e-2, 1e-5, model="rod"), "choose one of closed_form, elastica"),
         (lambda: ww.bend(STRAIGHT, 3e-2, 1e-5, np.nan), "friction_angle must be finite"),
