@@ -181,7 +181,7 @@ def posterior_ranks(
     p = ww.posterior(model, reading, method, seed=rng)
     trusted = np.isin(p.status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.IMPROBABLE_READING))
     # Enough draws of every chain to be far apart from each other, and of them some.
-    draws = p.draws_of(64 if method == "quadrature" else 128, rng)
+    draws = p.solution.draws(64 if method == "quadrature" else 128, rng)
     draws = draws.reshape(n, -1, draws.shape[-1])
     some = rng.permuted(np.tile(np.arange(draws.shape[1]), (n, 1)), axis=1)[:, :DRAWS]
     draws = np.take_along_axis(draws, some[..., None], axis=1)

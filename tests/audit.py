@@ -20,7 +20,7 @@ from weberwhisk.cues import (
     Vibration,
 )
 from weberwhisk.inference import default_noise, tree
-from weberwhisk.inference.methods import sums_of
+from weberwhisk.inference.quadrature import sums_of
 from weberwhisk.inference.tree import TOLERANCE
 from weberwhisk.sensitivity import prior_draws
 
@@ -89,7 +89,7 @@ def lost(observer: ww.Observer, contact: Any, reading: Any) -> Any:
     found = sums_of(observer, reading)
     out = []
     for i in range(len(reading)):
-        leaves = next(found.leaves(np.arange(len(reading)) == i))
+        leaves = next(found.lattices(np.arange(len(reading)) == i))
         inside = (np.floor(x[i] / leaves.step) == leaves.place.T).all(axis=1).any()
         if density[i] > leaves.log.max() - NATS and not inside:
             out.append(i)

@@ -17,6 +17,7 @@ from matplotlib.collections import PolyCollection
 
 import weberwhisk as ww
 from weberwhisk import plots
+from weberwhisk.inference.descent import cell_sums
 from weberwhisk.inference.tree import DROP, TOLERANCE, tree_of
 
 FIGURE = Path(__file__).parent.parent / "figures" / "walk.png"
@@ -32,7 +33,7 @@ def main() -> None:
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.ForceMap())
     reading = observer.read([30e-3, 0.2], seed=1)
     tree = tree_of(observer, TOLERANCE)
-    tree.sums(reading[None])
+    cell_sums(tree, reading[None])
     # With one reading, the cells of a level are the halves of those kept one level up.
     levels = [tree.start]
     while levels[-1].children:
@@ -42,7 +43,7 @@ def main() -> None:
     names = ("coarse cells, all readings", "cells halfway", "the lattice that is summed")
     for ax, depth, name in zip(axes, chosen, names, strict=True):
         level = levels[depth]
-        place = level.data[tree.rows.place, : level.count].T
+        place = level.cells.place[:, : level.count].T
         log, _ = observer.log_density_and_contact((place + 0.5) * level.step, reading)
         if depth == chosen[-1]:
             place, log = place[log > log.max() - DROP], log[log > log.max() - DROP]

@@ -200,7 +200,7 @@ def ridge(draws: int, *, seed: int = SEED) -> pd.DataFrame:
         observer = Observer(shape, ForceMap(), Weber(0.03))
         reading = observer.signals([RIDGE[0] * WHISKER.length, RIDGE[1]])[0]
         found = posterior(observer, reading)
-        drawn = found.draws_of(draws // 4, seed)[0].reshape(-1, 2)
+        drawn = found.solution.draws(draws // 4, seed)[0].reshape(-1, 2)
         table = pd.DataFrame(drawn, columns=["radial_distance", "deflection_angle"])
         status = Status(int(found.status)).name.lower()
         tables.append(table.assign(whisker=name, status=status))

@@ -125,7 +125,7 @@ def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unkno
         claim = max(2e-3, 3 * found.estimates["radial_distance"].mean_error[0] / sd)
         assert found.mean[0] == pytest.approx(mean, abs=claim * sd)
         assert found.sd[0] == pytest.approx(sd, rel=claim)
-        names = found.draws_of(4000, 1)[0].reshape(-1, 4).T, found.estimates.values()
+        names = found.solution.draws(4000, 1)[0].reshape(-1, 4).T, found.estimates.values()
         for draws, estimate in zip(*names, strict=True):
             assert draws.mean() == pytest.approx(estimate.mean[0], abs=0.03 * estimate.sd[0])
         return
@@ -322,7 +322,7 @@ def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
 def plain_sum(observer, reading, found, counts):
     """Means and sds by midpoints in distance, deflection, azimuth and azimuth from the plane."""
     cue = observer.cue.cue
-    draws = found.draws_of(2000, 1).reshape(-1, 4)
+    draws = found.solution.draws(2000, 1).reshape(-1, 4)
     columns = [draws[:, 0], draws[:, 1], draws[:, 2] - draws[:, 3], draws[:, 2]]
     low, high = ([c.mean() + s * 6.2 * c.std() for c in columns] for s in (-1, 1))
     if columns[2].std() > 0.5:

@@ -76,8 +76,8 @@ def test_emcee_knows_how_three_unknowns_go_together(arviz, cue):
     reading = observer.read([25e-3, 0.3, 1.0], seed=4)
     p, q = (ww.posterior(observer, reading, method=m, seed=5) for m in ("emcee", "quadrature"))
     assert p.status == q.status == 0
-    chains = p.draws_of(1000, 6)[0]
-    ours, theirs = chains.reshape(-1, 3), q.draws_of(1000, 6).reshape(-1, 3)
+    chains = p.solution.draws(1000, 6)[0]
+    ours, theirs = chains.reshape(-1, 3), q.solution.draws(1000, 6).reshape(-1, 3)
     for name, found in p.estimates.items():
         exact = q.estimates[name]
         assert np.all(np.abs(found.mean - exact.mean) < 5 * found.mean_error)
@@ -292,7 +292,7 @@ def test_nodes_share_trees_where_only_directions_turn():
 
 def test_draws_and_quantiles_of_a_roll_agree_and_stay_in_its_prior():
     found = ww.posterior(ROLLED, ROLLED.read([30e-3, 0.25, 2.0, 0.2], seed=4))
-    draws = found.draws_of(4000, 1).reshape(-1, 4)
+    draws = found.solution.draws(4000, 1).reshape(-1, 4)
     for i, name in enumerate(ROLLED.unknowns):
         if name == "deflection_angle":  # whose quantiles take most of the time
             continue

@@ -34,7 +34,7 @@ def test_one_touch_is_todays_posterior(k, curvature):
         assert one.status == Status.CONVERGED
         assert one.mean == pytest.approx(today.mean, abs=1e-6 * today.sd)
         assert one.sd == pytest.approx(today.sd, rel=1e-6)
-        ends = np.ravel(today.quantile_error_of(np.array([0.025, 0.975]), 0))
+        ends = np.ravel(today.solution.quantile_errors(np.array([0.025, 0.975]), 0))
         off = np.abs(np.subtract(one.interval(), today.interval()))
         assert np.all(off < 2e-3 * today.sd + ends)
 

@@ -121,7 +121,7 @@ def test_emcee_samples_each_event_once():
     for first, again in ((0, 2), (1, 4)):
         assert p.mean[first] == p.mean[again]
         assert np.array_equal(p.interval(0.95)[first], p.interval(0.95)[again])
-    draws = p.draws_of(8, 1)
+    draws = p.solution.draws(8, 1)
     assert draws.shape[0] == 5
     assert np.array_equal(draws[0], draws[2])
     assert not np.array_equal(draws[0], draws[3])

@@ -96,6 +96,11 @@ def _as_call(made: Any, always: tuple[str, ...] = ()) -> str:
 
 def _same(value: Any, default: Any) -> bool:
     """Whether a field has its default."""
+    if hasattr(value, "dist") and hasattr(default, "dist"):  # frozen, perhaps from a pickle
+        return bool(
+            type(value.dist) is type(default.dist)
+            and (value.args, value.kwds) == (default.args, default.kwds)
+        )
     plain = isinstance(default, int | float | str | tuple | list)
     return value is default or (plain and bool(_plain(value) == _plain(default)))
 

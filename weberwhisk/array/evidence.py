@@ -214,7 +214,7 @@ class Evidence:
         """Contacts (n, U) drawn from the posterior of this whisker alone."""
         observer = self.sensor.observer
         signals = self.reading[: len(self.reading) - self.sensor.taps]
-        drawn = posterior(observer, signals).draws_of(count // 4, rng)[0]
+        drawn = posterior(observer, signals).solution.draws(count // 4, rng)[0]
         return np.asarray(drawn.reshape(-1, len(observer.unknowns)))
 
 

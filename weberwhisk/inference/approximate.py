@@ -7,6 +7,7 @@ information about the best places of a scatter of the prior.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,14 @@ from scipy.special import expit, ndtri
 from .._util.checks import between
 from .._util.refusals import Refusal
 from .._util.sampling import StackedSample, sample_stacked
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Codes, Flags, Index
 from ..mechanics.contact import Outcome
 from ..receptors import Seed
 from .coordinates import FARTHEST, constrain_distance
+from .descent import cell_sums
 from .observer import Observer
 from .result import (
     Estimate,
-    Solution,
     Status,
     contact_slope,
     is_improbable,
@@ -31,7 +32,7 @@ from .result import (
     refuse_impossible,
 )
 from .tree import TOLERANCE, tree_of
-from .weighted import Sums, interpolate
+from .weighted import CellSums, interpolate
 
 __all__ = ["climb", "count_peaks", "density_at", "find_mode", "is_divided", "laplace", "sample"]
 
@@ -71,11 +72,11 @@ def _starting_points(observer: Observer, reading: Array) -> Array:
     return places[best]
 
 
-def _exact(observer: Observer, reading: Array) -> Sums | None:
+def _exact(observer: Observer, reading: Array) -> CellSums | None:
     """Posteriors by the tree where it has all unknowns: distance, or distance and angle."""
     if len(observer.unknowns) > observer.bounded:
         return None
-    found = tree_of(observer, TOLERANCE).sums(reading)
+    found = cell_sums(tree_of(observer, TOLERANCE), reading)
     refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
     return found
 
@@ -175,7 +176,8 @@ def _hessian(observer: Observer, reading: Array, x: Array) -> Array:
 
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
-) -> Solution:
+) -> LaplaceSolution:
+    """Posteriors of readings (B, R) as Gaussians about their modes."""
     exact = _exact(observer, reading)
     starts = observer.space.unconstrain(exact.best) if exact else None
     x, top = find_mode(observer, reading, starts)
@@ -202,19 +204,34 @@ def laplace(
     ]
     log_evidence = top + np.linalg.slogdet(root)[1] + 0.5 * x.shape[1] * np.log(2 * np.pi)
 
-    def quantile_of(p: Array, unknown: int) -> Array:
-        spread = np.linalg.norm(root, axis=2)
-        out = []
-        for value in ndtri(p):  # quantiles are carried along each coordinate
-            out.append(observer.space.constrain(x + value * spread)[0][:, unknown])
-        return np.stack(out, axis=-1)
+    return LaplaceSolution(observer, x, root, estimates, status.astype(np.int8), log_evidence)
 
-    def draws_of(count: int, seed: Seed) -> Array:
-        z = np.random.default_rng(seed).standard_normal((len(reading), 4 * count, root.shape[1]))
-        drawn = x[:, None] + z @ np.swapaxes(root, 1, 2)
-        return observer.space.constrain(drawn)[0].reshape(len(reading), 4, count, -1)
 
-    return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
+@dataclass(frozen=True, eq=False)
+class LaplaceSolution:
+    """Gaussians in the coordinates: modes (B, U), and roots (B, U, U) of their covariances."""
+
+    observer: Observer
+    mode: Array
+    root: Array
+    estimates: list[Estimate]
+    status: Codes
+    log_evidence: Array
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q), carried along each coordinate."""
+        sd, space = np.linalg.norm(self.root, axis=2), self.observer.space
+        ends = [space.constrain(self.mode + z * sd)[0][:, unknown] for z in ndtri(p)]
+        return np.stack(ends, axis=-1)
+
+    def quantile_errors(self, p: Array, unknown: int) -> Array:
+        return np.full((len(self.mode), len(p)), np.nan)
+
+    def draws(self, count: int, seed: Seed) -> Array:
+        size = len(self.mode), 4 * count, self.mode.shape[1]
+        z = np.random.default_rng(seed).standard_normal(size)
+        x = self.mode[:, None] + z @ np.swapaxes(self.root, 1, 2)
+        return self.observer.space.constrain(x)[0].reshape(len(self.mode), 4, count, -1)
 
 
 def _beside_the_density(
@@ -280,15 +297,16 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     y = observer.checked_reading(reading)
     rows = y.reshape(-1, y.shape[-1])
     # Down to a billionth of a billionth of the highest density.
-    found = tree_of(observer, TOLERANCE).sums(rows, drop=41.0)
+    found = cell_sums(tree_of(observer, TOLERANCE), rows, drop=41.0)
     counts = np.zeros(len(rows), dtype=int)
-    for at, start, step, log in found.marginals():
+    for marginal in found.marginals():
+        start, step, log = marginal.start, marginal.step, marginal.log
         # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.
         cells = start[:, None] + step * np.arange(log.shape[1])
         x, density = interpolate(log - constrain_distance(cells)[1], 8)
         log_slope = constrain_distance(start[:, None] + step * x)[1]
         last = log.shape[1] - 1 - np.isfinite(log[:, ::-1]).argmax(axis=1)
-        for row, own, slope, end in zip(at, density, log_slope, last, strict=True):
+        for row, own, slope, end in zip(marginal.readings, density, log_slope, last, strict=True):
             weight = np.exp(own + slope - (own + slope).max())
             weight[(x < 1) | (x > end - 1)] = 0.0  # next to what is not known cubics bend
             counts[row] = _count(own, weight / weight.sum(), share)
@@ -319,8 +337,8 @@ def _count(density: Array, weight: Array, mass: float) -> int:
 
 def sample(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
-) -> Solution:
-    """Posteriors of readings (B, R), so many in one run."""
+) -> EmceeSolution:
+    """Posteriors of readings (B, R) by emcee, `STACKED` in one run."""
     several = int(len(observer.unknowns) > 1)
     rng = np.random.default_rng(seed)
     runs, modes = [], []
@@ -358,14 +376,31 @@ def sample(
     status[_missing_peaks(observer, reading, estimates[0])] = Status.SEVERAL_PEAKS
     status[~run.converged] = Status.NOT_CONVERGED
 
-    def quantile_of(p: Array, unknown: int) -> Array:
-        return np.quantile(run.values[..., unknown], p, axis=(1, 2)).T
+    return EmceeSolution(run.values, estimates, status.astype(np.int8))
 
-    def draws_of(count: int, seed: Seed) -> Array:
-        return run.values[:, :, -count:]
 
-    status, no_evidence = status.astype(np.int8), np.full(len(reading), np.nan)
-    return Solution(estimates, status, no_evidence, quantile_of, draws_of)
+@dataclass(frozen=True, eq=False)
+class EmceeSolution:
+    """Draws (B, chain, draw, U) of emcee's walkers."""
+
+    values: Array
+    estimates: list[Estimate]
+    status: Codes
+
+    @property
+    def log_evidence(self) -> Array:
+        """NaN: walkers do not give it."""
+        return np.full(len(self.values), np.nan)
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        return np.quantile(self.values[..., unknown], p, axis=(1, 2)).T
+
+    def quantile_errors(self, p: Array, unknown: int) -> Array:
+        return np.full((len(self.values), len(p)), np.nan)
+
+    def draws(self, count: int, seed: Seed) -> Array:
+        """The last so many of each chain; nothing is drawn anew."""
+        return self.values[:, :, -count:]
 
 
 def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> Flags:
@@ -375,7 +410,7 @@ def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> Fla
     """
     missing = is_divided(observer, reading)
     if missing.any():
-        exact = tree_of(observer, TOLERANCE).sums(reading[missing])
+        exact = cell_sums(tree_of(observer, TOLERANCE), reading[missing])
         mean, sd, *errors = (column[missing] for column in sampled)
         off = np.abs([exact.mean[:, 0] - mean, exact.sd[:, 0] - sd])
         missing[missing] = (off > 4 * np.array(errors)).any(axis=0)

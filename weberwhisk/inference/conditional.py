@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._util.values import Array, Index
+from .._util.values import Array, Index, distinct
 from ..mechanics.contact import Outcome
+from .coordinates import AngleScale, PriorScale
 from .observer import Observer
 
 __all__ = ["Conditional", "Evaluated"]
@@ -81,6 +82,17 @@ class Conditional:
         """Contacts (N, U) at coordinates (N, U) and numbers (N,), with all that is given."""
         with np.errstate(all="ignore"):
             return self._space(which).constrain(x, self.given(which))[0]
+
+    def second_scale(self, x: Array, which: Index) -> AngleScale | PriorScale:
+        """How the second unknown goes with its coordinate, at first ones and numbers (N,)."""
+        space = self._space(which)
+        if self.observer.bounded < 2:
+            return PriorScale(self.observer.prior[self.unknowns[1]], len(x))
+        with np.errstate(all="ignore"):
+            r = space.distance(x)
+            further = [np.broadcast_to(value, r.shape) for value in self.given(which)]
+            (r, *further), back = distinct(r, *further)
+            return space.angle_scale(np.column_stack([r, 0 * r, *further])).of(back)
 
     def distance(self, x: Array, which: Index) -> Array:
         """The radial distances (n, L), m, at first coordinates and numbers (n,)."""

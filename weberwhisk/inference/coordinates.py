@@ -7,7 +7,7 @@ are no bounds: `constrain` carries x to the contact, `unconstrain` back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from .._util.checks import one_of, shown
 from .._util.refusals import Refusal
-from .._util.values import Array, distinct
+from .._util.values import Array, Index, distinct
 from ..cues.protocol import Cue
 from ..mechanics.forward import ForwardModel, forward_of
 from ..whisker import Whisker
@@ -54,14 +54,12 @@ class ContactCoordinates:
     prior: Mapping[str, Any]
     bounded: int = field(init=False)
     reach: tuple[float, float] = field(init=False)
-    _from_normal: Mapping[str, Callable[[Array], Array]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         further = self.cue.unknowns[2 if "deflection_angle" in self.cue.unknowns else 1 :]
         values = {
             "bounded": len(self.cue.unknowns) - len(further),
             "reach": self._range("radial_distance", self.cue.farthest(self.whisker)),
-            "_from_normal": {name: from_normal(self.prior[name]) for name in further},
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -90,7 +88,7 @@ class ContactCoordinates:
         for i, value in enumerate(further or (), x.shape[-1]):
             out[..., i] = value
         for i in range(self.bounded, x.shape[-1]):
-            out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
+            out[..., i] = from_normal(self.prior[self.cue.unknowns[i]], x[..., i])
         fraction, log_prior = constrain_distance(x[..., 0])
         # Rounding must not put a contact on an edge, where there is none.
         out[..., 0] = np.clip(
@@ -203,12 +201,6 @@ class ContactCoordinates:
         own = {n: self.prior[n] for n in self.cue.unknowns[: self.bounded] if n in self.prior}
         return {n: float(np.max(prior.logpdf(prior.ppf(p)))) for n, prior in own.items()}
 
-    @cached_property
-    def leaps(self) -> Mapping[str, Array]:
-        """Where priors of the bounded unknowns leap, by name."""
-        bounded = self.cue.unknowns[: self.bounded]
-        return {name: leaps(self.prior[name]) for name in bounded if name in self.prior}
-
     def angle_range(self, r: Array, contact: Array | None = None) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance.
 
@@ -233,6 +225,11 @@ class ContactCoordinates:
             limit = np.minimum(limit, high)
         return low, np.nan_to_num(np.maximum(limit - low, 0.0))
 
+    def angle_scale(self, contact: Array) -> AngleScale:
+        """How the angle goes with its coordinate at contacts (N, U), of which it is no matter."""
+        low, width = self.angle_range(contact[:, 0], contact)
+        return AngleScale(float(low), width, self._log_gain(contact[:, 0], width))
+
     @cached_property
     def reach_varies(self) -> bool:
         """Whether what contacts are held depends on a further unknown."""
@@ -252,6 +249,55 @@ class ContactCoordinates:
         # Where a prior leaves no angle there is nothing to carry.
         width = np.maximum(width, np.finfo(float).tiny)
         return np.asarray(np.log(width * w.length * room))
+
+
+@dataclass(frozen=True)
+class AngleScale:
+    """The deflection angle as a function of its coordinate, at N distances.
+
+    From `low` it goes over widths (N,); `log_gain` (N,) shifts the coordinate.
+    """
+
+    low: float
+    width: Array
+    log_gain: Array
+
+    @property
+    def high(self) -> Array:
+        """The largest angles (N,)."""
+        return self.low + self.width
+
+    def of(self, which: Index) -> AngleScale:
+        return AngleScale(self.low, self.width[which], self.log_gain[which])
+
+    def coordinate(self, value: Array, which: Index) -> Array:
+        """The coordinates (m, Q) of angles (m, Q), at distances `which` (m,)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fraction = np.clip((value - self.low) / self.width[which, None], 0.0, 1.0)
+            return unconstrain_angle(fraction) + self.log_gain[which, None]
+
+
+@dataclass(frozen=True)
+class PriorScale:
+    """An unknown that has a prior alone as a function of its coordinate, at N distances alike."""
+
+    prior: Any
+    count: int
+
+    @property
+    def low(self) -> float:
+        """The least value there is."""
+        return float(self.prior.support()[0])
+
+    @property
+    def high(self) -> Array:
+        """The largest value there is, (N,)."""
+        return np.full(self.count, float(self.prior.support()[1]))
+
+    def coordinate(self, value: Array, which: Index) -> Array:
+        """The coordinates (m, Q) of values (m, Q), at distances `which` (m,)."""
+        with np.errstate(divide="ignore"):
+            return to_normal(self.prior, value)
 
 
 def constrain_distance(y: Array) -> tuple[Array, Array]:
@@ -286,17 +332,13 @@ def _logistic(z: Array, log_slope: Array) -> tuple[Array, Array]:
     return np.where(z < 0, tail * upper, upper), 2 * np.log(upper) - distance + log_slope
 
 
-def from_normal(distribution: Any) -> Callable[[Array], Array]:
-    """The value as far up its distribution as z is up the standard normal, as a function of z."""
-
-    def value(z: Array) -> Array:
-        z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
-        below, tail = z < 0, ndtr(-np.abs(z))
-        out = np.empty(z.shape)
-        out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
-        return out
-
-    return value
+def from_normal(distribution: Any, z: Array) -> Array:
+    """The value as far up its distribution as z (...) is up the standard normal."""
+    z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
+    below, tail = z < 0, ndtr(-np.abs(z))
+    out = np.empty(z.shape)
+    out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
+    return out
 
 
 def to_normal(distribution: Any, value: Array) -> Array:
@@ -305,42 +347,65 @@ def to_normal(distribution: Any, value: Array) -> Array:
     return np.where(below < above, ndtri(below), -ndtri(above))
 
 
-def leaps(distribution: Any) -> Array:
-    """Values inside its support at which a distribution's density leaps, as a histogram's does.
+def is_discontinuous(distribution: Any) -> bool:
+    """Whether a density leaps inside its support, as a histogram's does.
 
     Examples
     --------
     >>> from scipy import stats
-    >>> leaps(stats.rv_histogram(([1, 3, 0, 2], [0.0, 1.0, 2.0, 3.0, 4.0]))()).round(6)
-    array([1., 2., 3.])
-    >>> leaps(stats.norm()).size, leaps(stats.uniform()).size
-    (0, 0)
+    >>> histogram = stats.rv_histogram(([1, 3, 0, 2], [0.0, 1.0, 2.0, 3.0, 4.0]))()
+    >>> [is_discontinuous(d) for d in (histogram, stats.norm(), stats.uniform())]
+    [True, False, False]
     """
     ends = distribution.ppf(np.linspace(1e-6, 1 - 1e-6, 1025))
     value = np.unique(np.concatenate([ends, np.linspace(ends[0], ends[-1], 2049)]))
 
-    def step(one: Array, other: Array) -> Array:
+    def step(low: Array, high: Array) -> Array:
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.nan_to_num(np.abs(distribution.logpdf(one) - distribution.logpdf(other)))
+            return np.nan_to_num(np.abs(distribution.logpdf(low) - distribution.logpdf(high)))
 
     low, high = value[:-1], value[1:]
     for _ in range(50):  # what is steep is less so over half of the way
-        some = step(low, high) > 0.05
-        low, high = low[some], high[some]
+        steep = step(low, high) > 0.05
+        low, high = low[steep], high[steep]
+        if not low.size:
+            return False
         middle = (low + high) / 2
         first = step(low, middle) > step(middle, high)
         low, high = np.where(first, low, middle), np.where(first, middle, high)
-    return (low + high) / 2
+    return True
+
+
+def _refuse_discontinuous(name: str, distribution: Any) -> None:
+    """Refuse a prior that no coordinate makes smooth, with a smooth one of its mean and sd."""
+    if not is_discontinuous(distribution):
+        return
+    mean, sd = float(distribution.mean()), float(distribution.std())
+    low, high = map(float, distribution.support())
+    smooth = f"scipy.stats.norm({mean:.4g}, {sd:.4g})"
+    if np.isfinite(high - low):
+        share, relative_sd = (mean - low) / (high - low), sd / (high - low)
+        count = share * (1 - share) / relative_sd**2 - 1
+        count = max(count, 1.01 / min(share, 1 - share))  # of one peak
+        smooth = (
+            f"scipy.stats.beta({count * share:.4g}, {count * (1 - share):.4g}, {low:.4g}, "
+            f"{high - low:.4g})"
+        )
+    raise Refusal(
+        f"The prior of {name} must have a density without steps",
+        f"{shown(distribution)}, as a histogram's is",
+        f"write {smooth}, say, which has its mean",
+    )
 
 
 def family(distribution: Any) -> Any:
     """What frozen SciPy distributions are compared by; any other distribution by itself."""
     family: Any = getattr(distribution, "dist", None)
     try:
-        # A histogram's table and a user's own limits are told to the family.
+        # A histogram's table and a user's own limits are the family's.
         made = family._updated_ctor_param()
-        own = tuple((k, v) for k, v in made.items() if k not in ("badvalue", "seed"))
-        key = type(family), distribution.args, tuple(sorted(distribution.kwds.items())), own
+        limits = tuple((k, v) for k, v in made.items() if k not in ("badvalue", "seed"))
+        key = type(family), distribution.args, tuple(sorted(distribution.kwds.items())), limits
         hash(key)
     except (AttributeError, TypeError):
         return distribution
@@ -383,4 +448,6 @@ def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:
                 shown(distribution),
                 "write scipy.stats.uniform(10e-3, 20e-3), say",
             )
+        if name in ("radial_distance", "deflection_angle"):
+            _refuse_discontinuous(name, distribution)
     return prior

@@ -1,49 +1,143 @@
-"""Readings on their way through a tree, from coarse cells to the lattices that are summed."""
+"""The descent of readings through a tree, from coarse cells to the lattices that are summed."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .._util.values import Array, Flags, Index
-from .weighted import Leaves
+from . import tree as trees
+from .cells import Lattices, Level
+from .tree import DROP, PAIRS, Tree
+from .weighted import CellSums
 
-__all__ = ["PAIRS", "Descent", "Pairs"]
+__all__ = ["cell_sums", "glimpse"]
 
-if TYPE_CHECKING:
-    from .tree import Level, Tree
-
-#: Pairs of a reading and a cell that are weighed together: 150 000 fit the cache.
-PAIRS = 150_000
 #: Most cells of one reading, and most times its cells are halved.
 MOST, DEEPEST = 300_000, 22
 
 
-class Pairs(NamedTuple):
-    """Pairs of readings and cells of one level, sorted by reading; whether it is their last."""
+def cell_sums(
+    tree: Tree, readings: Array, covariance: Array | None = None, *, which: Index | None = None,
+    drop: float = DROP, least: Array | None = None,
+) -> CellSums:  # fmt: skip
+    """The posteriors of readings (B, R) as weighted cells, and their moments.
+
+    With the covariances (B, R, R) of measurement errors, which add to the receptors' noise, and
+    the numbers (B,) of what is given, the first by default; cells whose density is `drop` nats
+    below the highest are left out. A reading some of whose cells were left out too early
+    descends again, three times in all at most; with `least` (B,) none does, and those whose ln
+    of the density is nowhere above that have no sums.
+    """
+    which = np.zeros(len(readings), dtype=int) if which is None else which
+    out = CellSums(len(readings), tree.unknowns, tree.observer, which)
+    lowest = np.full(len(readings), -np.inf) if least is None else least
+    deeper, tries = np.full(len(readings), drop), np.zeros(len(readings), dtype=int)
+    waiting = list(_chunks(tree, which, 512))
+    while waiting:
+        rows = waiting.pop()
+        if tree.bytes > trees.MEMORY:
+            tree.forget()
+        errors = None if covariance is None else covariance[rows]
+        descent = Descent(tree, readings[rows], errors, which[rows], deeper[rows])
+        remaining = descent.run(lowest[rows], 1.25 * trees.MEMORY, out, rows)
+        if remaining.size == rows.size:  # whose cells are too many together
+            waiting += np.array_split(rows, 2)
+            continue
+        # Again where cells turn out to have been left out too early.
+        missed = descent.missed(drop) if least is None else np.zeros(len(rows))
+        missed[remaining] = 0.0
+        again = rows[missed > 0]
+        deeper[again] += missed[missed > 0] + 1
+        tries[again] += 1
+        out.error[again[tries[again] == 3]] = np.inf
+        again = np.append(rows[remaining], again[tries[again] < 3])
+        if again.size:
+            waiting.append(again)
+    # That of a log-normal reading whose sign is not its signal's.
+    out.log_evidence[out.log_evidence < -1e8] = np.nan
+    return out
+
+
+def glimpse(tree: Tree, readings: Array, covariance: Array | None, which: Index) -> Array:
+    """ln of the highest density of readings (B, R) as coarse cells have it, (B,)."""
+    out = np.full(len(readings), -np.inf)
+    for rows in _chunks(tree, which, len(which)):
+        errors = None if covariance is None else covariance[rows]
+        descent = Descent(tree, readings[rows], errors, which[rows], np.zeros(len(rows)))
+        pairs = descent.first()
+        log = descent.log(pairs, blurred=True)
+        out[rows] = np.maximum.reduceat(log, pairs.first) + descent.log_slope
+    return out
+
+
+def _chunks(tree: Tree, which: Index, most: int) -> Iterator[Index]:
+    """Readings, up to `most` at a time, but for those that no contact can be of.
+
+    Their pairs with the coarse cells are in memory at once.
+    """
+    tree.begin(which)
+    possible = np.flatnonzero(tree.counts[which] > 0)
+    size = (
+        int(np.clip(PAIRS // max(tree.counts.max(initial=1), 1), 1, most)) if len(possible) else 1
+    )
+    for begin in range(0, len(possible), size):
+        yield possible[begin : begin + size]
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Pairs of readings (P,) and cells (P,) of one level, sorted by reading.
+
+    With `is_last` the cells are the readings' lattices, which are summed.
+    """
 
     level: Level
-    row: Index
+    reading: Index
     cell: Index
-    last: bool
+    is_last: bool
+
+    @property
+    def first(self) -> Index:
+        """Where the pairs of each reading begin."""
+        return np.flatnonzero(np.diff(self.reading, prepend=-1))
+
+    @property
+    def counts(self) -> Index:
+        return np.diff(self.first, append=len(self.reading))
+
+    def of(self, chosen: Flags | slice) -> Pairs:
+        return replace(self, reading=self.reading[chosen], cell=self.cell[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class Halving:
+    """What to do with the cells of n readings.
+
+    Along which axes to halve them, (U, n); whether they go on, and whether for the last time, (n,).
+    """
+
+    axes: Flags
+    goes_on: Flags
+    is_last: Flags
 
 
 class Descent:
     """One chunk of readings on their way from the coarse cells to their lattices."""
 
     def __init__(
-        self, tree: Tree, readings: Array, covariance: Array | None, which: Index, rows: Index,
-        drop: Array, out: Any,
-    ) -> None:  # fmt: skip
-        self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
+        self, tree: Tree, readings: Array, covariance: Array | None, which: Index, drop: Array
+    ) -> None:
+        self.tree, self.drop = tree, drop
         self.readings, self.covariance, self.which = readings, covariance, which
-        self.log_slope = np.zeros(len(rows))
+        self.log_slope = np.zeros(len(readings))
         if tree.gaussian:
             self.y, self.log_slope = tree.gaussian.readings(readings)
-        self.refined = np.zeros(len(rows), dtype=int)
+        self.refined = np.zeros(len(readings), dtype=int)
         #: The highest density of a cell that was left out, blurred, and of those that were not.
-        self.left_out, self.highest = np.full((2, len(rows)), -np.inf)
+        self.left_out, self.highest = np.full((2, len(readings)), -np.inf)
 
     def missed(self, drop: float) -> Array:
         """By how many nats what was left out may be less than `drop` below the highest, (n,).
@@ -51,201 +145,196 @@ class Descent:
         Wide cells have densities of readings that are improbable everywhere which their halves
         have not: beside those the right ones were given up.
         """
-        known = np.isfinite(self.highest) & np.isfinite(self.left_out)
-        gap = np.zeros(len(known))
-        gap[known] = self.left_out[known] - self.highest[known] + drop
+        both = np.isfinite(self.highest) & np.isfinite(self.left_out)
+        gap = np.zeros(len(both))
+        gap[both] = self.left_out[both] - self.highest[both] + drop
         return np.maximum(gap, 0.0)
 
     def first(self) -> Pairs:
         """All readings beside all coarse cells of what is given."""
         begins, counts = self.tree.begins[self.which], self.tree.counts[self.which]
-        row = np.repeat(np.arange(len(counts)), counts)
-        cell = np.arange(len(row)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
-        return Pairs(self.tree.start, row, cell, False)
+        reading = np.repeat(np.arange(len(counts)), counts)
+        cell = np.arange(len(reading)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
+        return Pairs(self.tree.start, reading, cell, False)
 
-    def run(self, least: Array, room: float) -> Index:
+    def run(self, least: Array, room: float, out: CellSums, rows: Index) -> Index:
         """From the coarse cells on, but for readings whose density is nowhere above `least`.
 
-        Returns the readings that are left to do once the tree has outgrown `room` bytes, but
-        finishes a single one.
+        Sums go to `rows` (n,) of `out`. Returns the readings that remain to do once the tree has
+        outgrown `room` bytes, but finishes a single one.
         """
         least = least - self.log_slope
         todo = [self.first()]
         while todo:
             if self.tree.bytes > room and len(least) > 1:
-                return np.unique(np.concatenate([task.row for task in todo]))
-            task = todo.pop()
-            middle = np.searchsorted(task.row, task.row[len(task.row) // 2])
-            if len(task.row) > PAIRS and middle:
-                halves = slice(middle, None), slice(middle)
-                todo += [task._replace(row=task.row[h], cell=task.cell[h]) for h in halves]
+                return np.unique(np.concatenate([pairs.reading for pairs in todo]))
+            pairs = todo.pop()
+            middle = np.searchsorted(pairs.reading, pairs.reading[len(pairs.reading) // 2])
+            if len(pairs.reading) > PAIRS and middle:
+                todo += [pairs.of(slice(middle, None)), pairs.of(slice(middle))]
                 continue
-            log = self.log(task.level, task.row, task.cell, blurred=not task.last)
-            first = np.flatnonzero(np.diff(task.row, prepend=-1))
-            top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(task.row)))
+            log = self.log(pairs, blurred=not pairs.is_last)
+            first, reading = pairs.first, pairs.reading
+            top = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(reading)))
             with np.errstate(invalid="ignore"):
                 depth = log - top
-                if not task.last:
-                    depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
-            kept = top >= least[task.row]
-            kept &= depth > -(self.drop if task.last else self.drop + self.tree.slack)[task.row]
-            if task.last:
-                self.highest[task.row[first]] = np.maximum.reduceat(log, first)
+                if not pairs.is_last:
+                    depth = depth + pairs.level.cells.rise[pairs.cell]
+            kept = top >= least[reading]
+            kept &= depth > -(self.drop if pairs.is_last else self.drop + self.tree.slack)[reading]
+            if pairs.is_last:
+                self.highest[reading[first]] = np.maximum.reduceat(log, first)
             else:
-                out = np.where(kept, -np.inf, log)
-                most = self.left_out[task.row[first]]
-                self.left_out[task.row[first]] = np.maximum(most, np.maximum.reduceat(out, first))
+                dropped = np.where(kept, -np.inf, log)
+                most = self.left_out[reading[first]]
+                most = np.maximum(most, np.maximum.reduceat(dropped, first))
+                self.left_out[reading[first]] = most
             if kept.any():
                 log, depth = log[kept], (log - top)[kept]
-                task = task._replace(row=task.row[kept], cell=task.cell[kept])
-                how = self._sum(task, log) if task.last else self._long(task, depth)
-                todo += self._halved(task, *how)
+                pairs = pairs.of(kept)
+                if pairs.is_last:
+                    halving = self._sum(pairs, log, out, rows)
+                else:
+                    halving = self._too_long(pairs, depth)
+                todo += self._halved(pairs, halving)
         return np.zeros(0, dtype=int)
 
-    def log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
-        """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""
-        tree, rows, data = self.tree, self.tree.rows, level.data
+    def log(self, pairs: Pairs, *, blurred: bool) -> Array:
+        """ln of the posterior density of pairs, exact or as blurred as their cells are wide."""
         if self.covariance is not None:
-            return self._log_measured(level, row, cell, blurred)
-        start = rows.blurred_constant.start if blurred else rows.constant.start
-        out = data[start][cell]
+            return self._log_measured(pairs, blurred)
+        tree, cells, reading, cell = self.tree, pairs.level.cells, pairs.reading, pairs.cell
+        out = (cells.blurred_log_scale if blurred else cells.log_scale)[cell]
         if tree.gaussian:
-            precision = rows.blurred_precision.start if blurred else rows.precision.start
+            precision = cells.blurred_precision if blurred else cells.precision
             z = []
             for k in range(tree.size):
-                value = tree.gaussian.off(self.y[k][row], data[rows.mean.start + k][cell], k)
-                value *= data[precision + k][cell]
+                value = tree.gaussian.off(self.y[k][reading], cells.mean[k][cell], k)
+                value *= precision[k][cell]
                 z.append(value)
             out = out + tree.gaussian.log(z, blurred)
         if tree.others:
-            first = np.flatnonzero(np.diff(row, prepend=-1))
-            length = data[rows.other_length.start][cell] if blurred else None
-            signals = data[rows.signals][:, cell].T
+            length = cells.other_length[cell] if blurred else None
+            signals = cells.signals[:, cell].T
             for term in tree.others:
-                out = out + term.log(self.readings[row], signals, length, first)
+                out = out + term.log(self.readings[reading], signals, length, pairs.first)
         return out
 
-    def _log_measured(self, level: Level, row: Index, cell: Index, blurred: bool) -> Array:
+    def _log_measured(self, pairs: Pairs, blurred: bool) -> Array:
         """The same with each reading's own covariance of measurement errors."""
-        tree, rows, data = self.tree, self.tree.rows, level.data
+        tree, cells, cell = self.tree, pairs.level.cells, pairs.cell
         assert tree.gaussian
         blur = np.zeros((tree.size, 1))
         if blurred:
-            wide, plain = (data[r][:, cell] for r in (rows.blurred_precision, rows.precision))
+            wide, plain = cells.blurred_precision[:, cell], cells.precision[:, cell]
             with np.errstate(invalid="ignore", divide="ignore"):  # where an sd is infinite
                 blur = np.fmax(wide**-2 - plain**-2, 0.0)
-        root = self._root(level, row, cell, blur)
-        out = data[rows.log_prior.start][cell] - 0.5 * tree.size * np.log(2 * np.pi)
+        root = self._root(pairs, blur)
+        out = cells.log_prior[cell] - 0.5 * tree.size * np.log(2 * np.pi)
         off = [
-            tree.gaussian.off(self.y[i][row], data[rows.mean.start + i][cell], i)
+            tree.gaussian.off(self.y[i][pairs.reading], cells.mean[i][cell], i)
             for i in range(tree.size)
         ]
         for line, z in zip(root, _solved(root, off), strict=True):
             out = out - 0.5 * z**2 - np.log(line[-1])
         return np.asarray(out)
 
-    def _root(self, level: Level, row: Index, cell: Index, blur: Array) -> list[list[Array]]:
+    def _root(self, pairs: Pairs, blur: Array) -> list[list[Array]]:
         """Cholesky's root of the covariance of pairs, with more variance on its diagonal."""
-        tree, data = self.tree, level.data
+        tree = self.tree
         assert tree.gaussian
         assert self.covariance is not None
-        sd = 1 / data[tree.rows.precision][:, cell]
-        own, correlation = self.covariance[row], tree.gaussian.correlation
+        sd = 1 / pairs.level.cells.precision[:, pairs.cell]
+        errors, correlation = self.covariance[pairs.reading], tree.gaussian.correlation
         root: list[list[Array]] = []
         for i in range(tree.size):
             line: list[Array] = []
             for j in range(i + 1):
-                part = own[:, i, j] + correlation[i, j] * sd[i] * sd[j]
+                entry = errors[:, i, j] + correlation[i, j] * sd[i] * sd[j]
                 for k in range(j):
-                    part = part - line[k] * (root[j][k] if j < i else line[k])
-                line.append(part / root[j][j] if j < i else np.sqrt(part + blur[i]))
+                    entry = entry - line[k] * (root[j][k] if j < i else line[k])
+                line.append(entry / root[j][j] if j < i else np.sqrt(entry + blur[i]))
             root.append(line)
         return root
 
-    def _lengths(self, level: Level, row: Index, cell: Index) -> Array:
+    def _lengths(self, pairs: Pairs) -> Array:
         """Lengths of cells along each axis (U, P), in sds of the readings."""
-        tree, rows, data = self.tree, self.tree.rows, level.data
+        tree, level, cell = self.tree, pairs.level, pairs.cell
         if self.covariance is None:
-            return data[rows.length][:, cell]
-        root = self._root(level, row, cell, np.zeros(tree.size))
-        change = data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1)
+            return level.cells.length[:, cell]
+        root = self._root(pairs, np.zeros(tree.size))
+        change = level.cells.change[:, cell].reshape(tree.unknowns, tree.features, -1)
         square = np.stack(
             [np.square(_solved(root, list(c[: tree.size]))).sum(axis=0) for c in change]
         )
         square += (change[:, tree.size : -1] ** 2).sum(axis=1)
         return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
 
-    def _long(self, task: Pairs, depth: Array) -> tuple[Flags, Flags, Flags]:
-        """Along which axes the cells of each reading are too long, and what `_halved` asks more."""
-        level, row, cell, _ = task
-        first = np.flatnonzero(np.diff(row, prepend=-1))
-        counts, own = np.diff(first, append=len(row)), row[first]
+    def _too_long(self, pairs: Pairs, depth: Array) -> Halving:
+        """Along which axes the cells of each reading are too long for the trapezoidal rule."""
+        first, counts = pairs.first, pairs.counts
         # The trapezoidal rule is off by exp(−2π²/L²) of the mass in cells L sds long.
         mass = np.exp(depth)
         mass /= np.repeat(np.add.reduceat(mass, first), counts)
-        square = 2 * np.pi**2 / self._lengths(level, row, cell) ** 2
+        square = 2 * np.pi**2 / self._lengths(pairs) ** 2
         off = np.add.reduceat(mass * np.exp(-square), first, axis=1)
-        halved = np.add.reduceat(mass * np.exp(-4 * square), first, axis=1)
+        once_halved = np.add.reduceat(mass * np.exp(-4 * square), first, axis=1)
         wide = off > self.tree.share
-        stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
-        self.refined[own[stuck & wide.any(axis=0)]] = DEEPEST  # as often as it could be
-        last = (halved <= self.tree.share).all(axis=0) | stuck
-        return wide & ~stuck, np.ones(len(own), dtype=bool), np.asarray(last)
+        stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (pairs.level.depth >= DEEPEST)
+        # As often as it could be.
+        self.refined[pairs.reading[first[stuck & wide.any(axis=0)]]] = DEEPEST
+        is_last = (once_halved <= self.tree.share).all(axis=0) | stuck
+        return Halving(wide & ~stuck, np.ones(len(first), dtype=bool), np.asarray(is_last))
 
-    def _sum(self, task: Pairs, log: Array) -> tuple[Flags, Flags, Flags]:
+    def _sum(self, pairs: Pairs, log: Array, out: CellSums, rows: Index) -> Halving:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
-        level, row, cell, _ = task
-        first = np.flatnonzero(np.diff(row, prepend=-1))
-        counts, own = np.diff(first, append=len(row)), row[first]
-        rows, out = self.tree.rows, self.rows_out[own]
-        place = level.data[rows.place][:, cell].astype(np.int32)
-        contact = level.data[rows.contact][:, cell]
-        leaves = Leaves(level.step, out, first, place, log)
-        each = self.out.add(leaves, contact, self.log_slope[own], self.tree.smooth)
-        wide = (each > 0.5 * each.max(axis=0)) & (self.out.error[out] > self.tree.tolerance)
+        first, counts, cells = pairs.first, pairs.counts, pairs.level.cells
+        reading = pairs.reading[first]
+        at = rows[reading]
+        lattices = Lattices(pairs.level.step, at, first, cells.place[:, pairs.cell], log)
+        contact, slope = cells.contact[:, pairs.cell], self.log_slope[reading]
+        each = out.add(lattices, contact, slope, self.tree.smooth)
+        wide = (each > 0.5 * each.max(axis=0)) & (out.error[at] > self.tree.tolerance)
         # Finer cells find no more of what lies beyond the coarse ones.
-        self.out.error[out] = np.maximum(self.out.error[out], self._at_ends(leaves))
-        self.refined[own] += wide.any(axis=0)
-        again = wide.any(axis=0) & (self.refined[own] <= self.tree.refinements)
+        out.error[at] = np.maximum(out.error[at], self._share_at_ends(lattices))
+        self.refined[reading] += wide.any(axis=0)
+        again = wide.any(axis=0) & (self.refined[reading] <= self.tree.refinements)
         again &= counts * 2.0 ** wide.sum(axis=0) <= MOST
-        return wide, again, np.ones(len(own), dtype=bool)
+        return Halving(wide, again, np.ones(len(reading), dtype=bool))
 
-    def _at_ends(self, leaves: Leaves) -> Array:
+    def _share_at_ends(self, lattices: Lattices) -> Array:
         """The share of each mass that is in the first or last coarse cells of an axis, (n,)."""
-        place, (low, high) = leaves.place, self.tree.inner_ends / leaves.step
+        place, (low, high) = lattices.place, self.tree.inner_ends / lattices.step
         if (place.min(axis=1) >= low).all() and (place.max(axis=1) < high).all():
-            return np.zeros(len(leaves.rows))
-        weight = np.exp(leaves.log - np.maximum.reduceat(leaves.log, leaves.first)[leaves.owner])
+            return np.zeros(len(lattices.readings))
+        first = lattices.first
+        weight = np.exp(lattices.log - np.maximum.reduceat(lattices.log, first)[lattices.owner])
         at_end = ((place < low[:, None]) | (place >= high[:, None])).any(axis=0)
-        share = np.add.reduceat(weight * at_end, leaves.first)
-        return np.asarray(share / np.add.reduceat(weight, leaves.first))
+        share = np.add.reduceat(weight * at_end, first)
+        return np.asarray(share / np.add.reduceat(weight, first))
 
-    def _halved(self, task: Pairs, wide: Flags, again: Flags, last: Flags) -> list[Pairs]:
-        """The cells of readings that go on `again` (n,), halved along the `wide` axes (U, n).
-
-        For the last time, or not, (n,).
-        """
-        level, row, cell, _ = task
-        first = np.flatnonzero(np.diff(row, prepend=-1))
-        counts = np.diff(first, append=len(row))
-        kinds, tasks = np.vstack([wide, last]), []
-        for kind in np.unique(kinds[:, again], axis=1).T:
-            own = np.repeat(again & (kinds == kind[:, None]).all(axis=0), counts)
+    def _halved(self, pairs: Pairs, halving: Halving) -> list[Pairs]:
+        """The cells of readings that go on, those of one pattern of halved axes together."""
+        counts, out = pairs.counts, []
+        kinds = np.vstack([halving.axes, halving.is_last])
+        for kind in np.unique(kinds[:, halving.goes_on], axis=1).T:
+            chosen = halving.goes_on & (kinds == kind[:, None]).all(axis=0)
+            mine = pairs.of(np.repeat(chosen, counts))
             pattern = tuple(int(w) for w in kind[:-1])
-            child, cells = level, cell[own]
+            level, cell = mine.level, mine.cell
             if any(pattern):
-                child, split = self.tree._split(level, pattern, cells)
-                cells = (split[:, None] + np.arange(2 ** sum(pattern))).ravel()
-            rows = np.repeat(row[own], 2 ** sum(pattern))
-            tasks.append(Pairs(child, rows, cells, bool(kind[-1])))
-        return tasks
+                level, halves = self.tree.split(level, pattern, cell)
+                cell = (halves[:, None] + np.arange(2 ** sum(pattern))).ravel()
+            reading = np.repeat(mine.reading, 2 ** sum(pattern))
+            out.append(Pairs(level, reading, cell, bool(kind[-1])))
+        return out
 
 
 def _solved(root: list[list[Array]], values: list[Array]) -> list[Array]:
     """Values (S, P) in sds and without correlation, by Cholesky's root of their covariance."""
     z: list[Array] = []
     for line, value in zip(root, values, strict=True):
-        for part, before in zip(line, z, strict=False):
-            value = value - part * before
+        for entry, before in zip(line, z, strict=False):
+            value = value - entry * before
         z.append(value / line[-1])
     return z

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import ndtr
@@ -20,12 +19,13 @@ from scipy.special import ndtr
 from .._util.values import Array, Flags, Index
 from .._util.weights import half_error, halves, mixture_moments, resampled
 from .coordinates import within_half_turn
+from .descent import cell_sums, glimpse
 from .nodes import HALVINGS, Layers
 from .tree import DROP
 from .weighted import (
     OVER,
+    CellSums,
     Spans,
-    Sums,
     extrapolated,
     interpolate,
     masses,
@@ -42,14 +42,23 @@ PARTS = 8
 
 
 @dataclass(eq=False)
-class _Part:
-    """Sums of pairs (n,) of a reading and a node.
+class AtNodes:
+    """Posteriors of n pairs of a reading and a node, summed together.
 
-    The number of the reading, the node (n, D), and ln of the evidence of both.
+    Attributes
+    ----------
+    sums : CellSums
+    readings : array, shape (n,)
+        The number of each reading.
+    node : array, shape (n, D)
+    log : array, shape (n,)
+        ln of the evidence of reading and node.
+    quantiles : dict
+        By unknown, (n, Q) at `SCORES`, once they are needed.
     """
 
-    found: Sums
-    rows: Index
+    sums: CellSums
+    readings: Index
     node: Index
     log: Array
     quantiles: dict[int, Array] = field(default_factory=dict)
@@ -85,13 +94,15 @@ class LayeredSums:
         self.log, self.guess, self.error_at = np.zeros((3, 0, count))
         self.mean_at, self.sd_at = np.zeros((2, 0, count, layers.inner))
         self.part, self.pair = np.zeros((2, 0, count), dtype=np.int32)
-        self.parts: list[_Part] = []
+        self.at_nodes: list[AtNodes] = []
         self._solve()
 
     @property
     def bytes(self) -> int:
         """Memory of the cells at all nodes, of what is known there, and of quantiles there."""
-        cells = sum(part.found.bytes + 8 * len(SCORES) * len(part.rows) for part in self.parts)
+        cells = sum(
+            each.sums.bytes + 8 * len(SCORES) * len(each.readings) for each in self.at_nodes
+        )
         return cells + 64 * len(self.nodes) * len(self.readings)
 
     def _solve(self) -> None:
@@ -147,9 +158,9 @@ class LayeredSums:
         if not before:  # first the node where each reading is most probable at a glance
             node, row = np.nonzero(np.ones_like(new))
             readings, covariance, slope = self._asked(grid[node], rows[row])
-            glimpse = self.layers.tree.glimpse(readings, covariance, self.given[grid[node]]) + slope
+            seen = glimpse(self.layers.tree, readings, covariance, self.given[grid[node]]) + slope
             most = np.zeros_like(new)
-            most[glimpse.reshape(new.shape).argmax(axis=0), np.arange(len(rows))] = True
+            most[seen.reshape(new.shape).argmax(axis=0), np.arange(len(rows))] = True
             self._ask(grid, rows, most & new, best)
         self._ask(grid, rows, np.isnan(self.log[at]), best)
 
@@ -200,18 +211,19 @@ class LayeredSums:
         node, row = grid[node], rows[row]
         readings, covariance, slope = self._asked(node, row)
         least = best[row] - 2 * self.drop
-        found = self.layers.tree.sums(
-            readings, covariance, which=self.given[node], drop=self.drop, least=least - slope
-        )
-        known = np.isfinite(found.log_evidence)
-        log = np.where(known, found.log_evidence + slope, -np.inf)
+        sums = cell_sums(
+            self.layers.tree, readings, covariance, which=self.given[node], drop=self.drop,
+            least=least - slope,
+        )  # fmt: skip
+        known = np.isfinite(sums.log_evidence)
+        log = np.where(known, sums.log_evidence + slope, -np.inf)
         np.maximum.at(best, row, log)
         self.log[node, row] = log
         self.guess[node, row] = np.maximum(np.where(known, log, least), -1e5)
-        self.mean_at[node, row], self.sd_at[node, row] = np.nan_to_num([found.mean, found.sd])
-        self.error_at[node, row] = np.where(known, found.error, 0.0)
-        self.part[node, row], self.pair[node, row] = len(self.parts), np.arange(len(row))
-        self.parts.append(_Part(found, row, self.nodes[node], log))
+        self.mean_at[node, row], self.sd_at[node, row] = np.nan_to_num([sums.mean, sums.sd])
+        self.error_at[node, row] = np.where(known, sums.error, 0.0)
+        self.part[node, row], self.pair[node, row] = len(self.at_nodes), np.arange(len(row))
+        self.at_nodes.append(AtNodes(sums, row, self.nodes[node], log))
 
     def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
         """Sum over nodes; about how far off the sums along each axis are, (D, n)."""
@@ -225,8 +237,8 @@ class LayeredSums:
         best = log.argmax(axis=0)
         grid = self.nodes[number.ravel()].T
         values, middle = [], []
-        for axis, own in zip(self.axes, self.layers.values(grid), strict=True):
-            value = np.broadcast_to(own[:, None], log.shape)
+        for axis, at_node in zip(self.axes, self.layers.values(grid), strict=True):
+            value = np.broadcast_to(at_node[:, None], log.shape)
             if axis.around and not axis.from_plane:  # a half turn from the best to either side
                 at_best = value[best, np.arange(len(rows))]
                 value = at_best + within_half_turn(value - at_best)
@@ -266,7 +278,7 @@ class LayeredSums:
         for k in np.unique(self.part[which]):
             mine = rows[self.part[which] == k]
             pair = self.pair[which][self.part[which] == k]
-            self.best[mine, :inner] = self.parts[k].found.best[pair]
+            self.best[mine, :inner] = self.at_nodes[k].sums.best[pair]
         none = ~np.isfinite(top)
         self.error[rows[none]], self.log_evidence[rows[none]] = np.inf, np.nan
         self.mean[rows[none]], self.sd[rows[none]] = np.nan, np.nan
@@ -274,13 +286,13 @@ class LayeredSums:
 
     # -- quantiles and draws -----------------------------------------------------------------------
 
-    def _refine(self, rows: Index, rough: Any) -> None:
-        """Halve nodes of readings whose conditional posteriors are too `rough` between them."""
+    def _refine(self, rows: Index, criterion: Criterion) -> None:
+        """Halve nodes of readings whose conditional posteriors fail a criterion between them."""
         while rows.size:
             left = []
             for halvings in np.unique(self.halvings[rows], axis=0):
                 own = rows[(self.halvings[rows] == halvings).all(axis=1)]
-                bad = self._too_rough(self._keys(halvings), own, rough)
+                bad = self._failing(self._keys(halvings), own, criterion)
                 bad &= (halvings < HALVINGS)[:, None]
                 again = bad.any(axis=0)
                 if again.any():
@@ -290,12 +302,8 @@ class LayeredSums:
                     left.append(own[again])
             rows = np.concatenate(left) if left else rows[:0]
 
-    def _too_rough(self, keys: list[Index], rows: Index, rough: Any) -> Flags:
-        """Along which axes posteriors at nodes are more than 1 `rough`, (D, B).
-
-        That is told ln of the evidence (n, ..., B) below the best, means, sds and what moves them
-        along the axis.
-        """
+    def _failing(self, keys: list[Index], rows: Index, criterion: Criterion) -> Flags:
+        """Along which axes posteriors at nodes fail a criterion, (D, B)."""
         grid = self._grid(keys)
         at = np.ix_(grid.ravel(), rows)
         shape = *grid.shape, len(rows)
@@ -303,32 +311,10 @@ class LayeredSums:
         mean, sd = (table[at].reshape(*shape, -1) for table in (self.mean_at, self.sd_at))
         out = np.zeros((len(keys), len(rows)), dtype=bool)
         for d, axis in enumerate(self.axes):
-            around = partial(_shifted, axis=d, circle=axis.around)
+            beside = Neighbours(log, mean, sd, d, axis.around)
             with np.errstate(invalid="ignore", divide="ignore"):
-                out[d] = (rough(log, mean, sd, around).reshape(-1, len(rows)) > 1).any(axis=0)
+                out[d] = (criterion.excess(beside).reshape(-1, len(rows)) > 1).any(axis=0)
         return out
-
-    def _not_smooth(self, log: Array, mean: Array, sd: Array, around: Any) -> Array:
-        """How far cubics between nodes are off, by those of twice the step.
-
-        What a node's conditional mean is off, in its own sds, moves quantiles by its share of the
-        mass; at 2.5 % that is seven times as many sds.
-        """
-        share = np.exp(log)
-        share /= share.reshape(-1, log.shape[-1]).sum(axis=0)
-        off = mean - (9 * (around(mean, 1) + around(mean, -1))
-                      - around(mean, 3) - around(mean, -3)) / 16  # fmt: skip
-        off = np.nan_to_num(np.abs(off / sd).max(axis=-1), posinf=0.0)
-        near = np.min([around(log, k) for k in (-3, -1, 1, 3)], axis=0) > -self.drop
-        # The error of fourth order is a sixteenth of that at half the steps; an end of an interval
-        # may be 5e-3 sd off.
-        return np.where(near, 7 * share * off, 0.0) / 16 / 5e-3
-
-    def _far_apart(self, log: Array, mean: Array, sd: Array, around: Any) -> Array:
-        """How far conditional posteriors are apart, over their widths."""
-        step = np.abs(around(mean, 1) - mean) / np.minimum(sd, around(sd, 1))
-        near = (log > -9.0) & (around(log, 1) > -9.0)
-        return np.where(near, np.nan_to_num(step).max(axis=-1), 0.0)
 
     def _box(self, row: int) -> tuple[list[Index], Index, Array]:
         """About the mass of one reading: nodes along each axis, all numbers, ln of the evidence."""
@@ -354,12 +340,17 @@ class LayeredSums:
             out.append(own[low:high])
         return out, number, log
 
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown."""
+        fine, coarse = self.spans(unknown), self.spans(unknown, 2)
+        return extrapolated(fine, coarse, p, len(self.error))
+
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
         inner = self.layers.inner
         known = np.flatnonzero(np.isfinite(self.log_evidence))
         if unknown < inner:
-            self._refine(known, self._not_smooth)
+            self._refine(known, IsSmooth(self.drop))
         for row in known:
             keys, number, log = self._box(int(row))
             at = np.array([row])
@@ -400,23 +391,22 @@ class LayeredSums:
         quantile = spans.quantiles(ndtr(SCORES[::stride])).reshape(*log.shape[:-1], -1)
         return np.logaddexp.reduce(log, axis=-1), np.isfinite(quantile[..., 0]), quantile
 
-    def _place(self, number: Any, row: int) -> tuple[_Part, int]:
-        """The sums of a reading at a node: the part they are in, and their number there."""
-        return self.parts[self.part[number, row]], int(self.pair[number, row])
+    def _place(self, number: Any, row: int) -> tuple[AtNodes, int]:
+        """Where the sums of a reading at a node are, and their number there."""
+        return self.at_nodes[self.part[number, row]], int(self.pair[number, row])
 
-    def _conditional(self, part: _Part, unknown: int) -> Array:
+    def _conditional(self, at_nodes: AtNodes, unknown: int) -> Array:
         """Quantiles (n, Q) of readings at nodes, of those that have mass there."""
-        if unknown not in part.quantiles:
-            wanted = part.log > self.log_evidence[part.rows] - self.drop
-            # Half as fine as where there are no nodes.
-            part.quantiles[unknown] = extrapolated(part.found, ndtr(SCORES), unknown, 2, wanted)
-        return part.quantiles[unknown]
+        if unknown not in at_nodes.quantiles:
+            heavy = at_nodes.log > self.log_evidence[at_nodes.readings] - self.drop
+            at_nodes.quantiles[unknown] = at_nodes.sums.quantiles(ndtr(SCORES), unknown, heavy)
+        return at_nodes.quantiles[unknown]
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((len(self.readings), count, len(self.observer.unknowns)), np.nan)
         known = np.flatnonzero(np.isfinite(self.log_evidence))
-        self._refine(known, self._far_apart)
+        self._refine(known, Overlap())
         for row in known:
             keys, number, log = self._box(int(row))
             weight = np.exp(0.75 * (log - log.max())).ravel()
@@ -427,7 +417,7 @@ class LayeredSums:
                 at = np.unravel_index(i, log.shape)
                 own = tuple(k[j] for k, j in zip(keys, at, strict=True))
                 part, pair = self._place(number[at], int(row))
-                proposed, log_proposed = part.found.proposals(int(many[i]), rng, pair)
+                proposed, log_proposed = part.sums.proposals(int(many[i]), rng, pair)
                 x.append(proposed)
                 step = np.array([k[1] - k[0] for k in keys])
                 z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
@@ -440,6 +430,64 @@ class LayeredSums:
             chosen = resampled(log_density - np.concatenate(log_of), count, rng)
             out[row] = contact[chosen]
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Posteriors at nodes (n, ...) of readings (B,), and those beside them along an axis.
+
+    ln of the evidence (n, ..., B) below the best, means and sds (n, ..., B, U).
+    """
+
+    log: Array
+    mean: Array
+    sd: Array
+    axis: int
+    is_circle: bool
+
+    def moved(self, values: Array, by: int) -> Array:
+        """Of each node those that are so many nodes further."""
+        return _shifted(values, by, axis=self.axis, circle=self.is_circle)
+
+
+class Criterion(Protocol):
+    """What conditional posteriors must fulfil between nodes."""
+
+    def excess(self, at: Neighbours) -> Array:
+        """How far each is from it, (n, ..., B): above 1 it fails."""
+
+
+@dataclass(frozen=True)
+class IsSmooth:
+    """Cubics between nodes must be right, by those of twice the step.
+
+    What a node's conditional mean is off, in its sds, moves quantiles by its share of the mass; at
+    2.5 % that is seven times as many sds. Nodes more than `drop` nats below the best do not count.
+    """
+
+    drop: float
+
+    def excess(self, at: Neighbours) -> Array:
+        share = np.exp(at.log)
+        share /= share.reshape(-1, at.log.shape[-1]).sum(axis=0)
+        mean = at.mean
+        off = mean - (9 * (at.moved(mean, 1) + at.moved(mean, -1))
+                      - at.moved(mean, 3) - at.moved(mean, -3)) / 16  # fmt: skip
+        off = np.nan_to_num(np.abs(off / at.sd).max(axis=-1), posinf=0.0)
+        near = np.min([at.moved(at.log, k) for k in (-3, -1, 1, 3)], axis=0) > -self.drop
+        # The error of fourth order is a sixteenth of that at half the steps; an end of an interval
+        # may be 5e-3 sd off.
+        return np.where(near, 7 * share * off, 0.0) / 16 / 5e-3
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Conditional posteriors of neighbours must overlap: be apart by less than their sds."""
+
+    def excess(self, at: Neighbours) -> Array:
+        step = np.abs(at.moved(at.mean, 1) - at.mean) / np.minimum(at.sd, at.moved(at.sd, 1))
+        near = (at.log > -9.0) & (at.moved(at.log, 1) > -9.0)
+        return np.where(near, np.nan_to_num(step).max(axis=-1), 0.0)
 
 
 def _shifted(values: Array, by: int, *, axis: int, circle: bool) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .._util.values import Array, Index
-from .coordinates import from_normal, is_all_around, leaps, within_half_turn
+from .coordinates import from_normal, is_all_around, is_discontinuous, within_half_turn
 from .observer import Observer
 from .tree import Tree, tree_of
 
@@ -65,7 +65,7 @@ class Axis:
             return t
         if self.around:
             return np.asarray(self.middle + t)
-        return from_normal(self.observer.prior[self.name])(t + t**3 / 6)
+        return from_normal(self.observer.prior[self.name], t + t**3 / 6)
 
     def log_prior(self, node: Any) -> Array:
         """ln of the prior density at nodes, over the coordinate."""
@@ -104,7 +104,7 @@ class Axis:
         if self.name != "roll" or self.observer.forward.is_flat or not _is_isotropic(self.observer):
             return False
         prior = self.observer.prior["roll"]
-        if np.ptp(prior.support()) < 2 * np.pi - 1e-9 or leaps(prior).size:
+        if np.ptp(prior.support()) < 2 * np.pi - 1e-9 or is_discontinuous(prior):
             return False
         beyond = prior.cdf(self.middle - np.pi) + prior.sf(self.middle + np.pi)
         # A narrower prior is a ridge of both azimuths, finer than their step after two halvings.

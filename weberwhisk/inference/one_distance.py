@@ -19,14 +19,15 @@ from scipy.special import gamma, gammainc, logsumexp, ndtr
 
 from .._util.values import Array, Index, density_quantiles
 from .._util.weights import half_error, halves, mixture_moments
-from .coordinates import constrain_distance, leaps
+from .cells import Lattices
+from .coordinates import constrain_distance
+from .descent import cell_sums
 from .layers import SCORES, LayeredSums
-from .methods import pieces_of
 from .nodes import HALVINGS, Axis, Layers
 from .observer import Observer
 from .result import held_prior
 from .tree import DROP, TOLERANCE, tree_of
-from .weighted import Leaves, Sums, mixed
+from .weighted import CellSums, Marginals, mixed
 
 __all__ = ["OneDistance", "ReadingGroup", "one_distance", "shared_unknowns"]
 
@@ -124,7 +125,7 @@ def _without_prior(observer: Observer) -> Observer:
 # -- of one reading --------------------------------------------------------------------------------
 
 
-class _Part(NamedTuple):
+class Component(NamedTuple):
     """ln of a density (L, K) of a reading at even places of the first coordinate."""
 
     start: float
@@ -134,7 +135,7 @@ class _Part(NamedTuple):
 
 def _sums(
     observer: Observer, y: Array, covariance: Array | None, axis: Axis | None, node: int
-) -> Iterator[tuple[Index, Sums, Array]]:
+) -> Iterator[tuple[Index, CellSums, Array]]:
     """Weighted cells of some of the readings, and ln of the evidence that they stand for."""
     slope = 0.0
     if axis:
@@ -143,33 +144,31 @@ def _sums(
     if not layers.axes:
         which = np.repeat(layers.numbers(np.empty((0, 1))), len(y)) if axis else None
         tree = layers.tree if axis else tree_of(observer, TOLERANCE)
-        found = tree.sums(y, covariance, which=which, drop=2 * DROP)
-        yield np.arange(len(y)), found, found.log_evidence + slope
+        sums = cell_sums(tree, y, covariance, which=which, drop=2 * DROP)
+        yield np.arange(len(y)), sums, sums.log_evidence + slope
         return
     whole = LayeredSums(layers, y, covariance, 2 * DROP)
     # Nodes of steps that were halved are asked again by the finer ones: all count alike.
     first, second = layers.axes[0].nodes(0)[:2]
     step = (second - first) >> whole.halvings[:, 0]
-    for part in whole.parts:
-        mine = (part.node[:, 0] - first) % step[part.rows] == 0
-        width = np.log(layers.axes[0].unit * step[part.rows])
-        log = np.where(mine, part.log + width + slope, -np.inf)
-        yield part.rows, part.found, log
+    for at in whole.at_nodes:
+        finest = (at.node[:, 0] - first) % step[at.readings] == 0
+        width = np.log(layers.axes[0].unit * step[at.readings])
+        yield at.readings, at.sums, np.where(finest, at.log + width + slope, -np.inf)
 
 
-def _parts(
+def _components(
     group: ReadingGroup, axis: Axis | None, node: int, spans: Array | None
-) -> tuple[list[list[_Part]], Array]:
+) -> tuple[list[list[Component]], Array]:
     """Of each reading what its posterior is a sum of, and the error of its sums."""
-    out: list[list[_Part]] = [[] for _ in group.readings]
+    out: list[list[Component]] = [[] for _ in group.readings]
     every = []
-    for observer in pieces_of(group.observer):
-        for rows, found, log in _sums(observer, group.readings, group.covariance, axis, node):
-            every.append((rows, log, found.error))
-            for i, one in _layers(found, spans):
-                if np.isfinite(log[i]):
-                    norm = log[i] - found.log_evidence[i]
-                    out[rows[i]].append(one._replace(log=one.log + norm))
+    for rows, sums, log in _sums(group.observer, group.readings, group.covariance, axis, node):
+        every.append((rows, log, sums.error))
+        for i, one in _layers(sums, spans):
+            if np.isfinite(log[i]):
+                norm = log[i] - sums.log_evidence[i]
+                out[rows[i]].append(one._replace(log=one.log + norm))
     rows, log, error = map(np.concatenate, zip(*every, strict=True))
     top = np.full(len(out), -1e300)
     np.fmax.at(top, rows, log)
@@ -178,31 +177,41 @@ def _parts(
     return out, off / np.fmax(total, 1e-300)
 
 
-def _layers(found: Sums, spans: Array | None) -> Iterator[tuple[int, _Part]]:
-    """ln of the joint density of each reading and the first coordinate, for each span of angles."""
-    observer: Any = found.observer
+@dataclass(frozen=True, eq=False)
+class LargestAngles:
+    """Densities exp(−(u/s)⁴) of shares u of the largest angle, for spans s (K,), over their means.
+    """
 
-    def within(leaves: Leaves) -> Array:
-        if spans is None:
-            return np.ones((1, len(leaves.log)))
-        which = found.which[leaves.rows[leaves.owner]]
-        own = observer.contact_at((leaves.place.T + 0.5) * leaves.step, which)
-        least, width = observer.observer.space.angle_range(own[:, 0], own)
-        share = (own[:, 1] - least) / np.maximum(width, 1e-300)
+    spans: Array
+
+    def at(self, sums: CellSums, lattices: Lattices) -> Array:
+        """At the cells of lattices, (K, P)."""
+        observer: Any = sums.observer
+        which = sums.which[lattices.readings[lattices.owner]]
+        contact = observer.contact_at((lattices.place.T + 0.5) * lattices.step, which)
+        least, width = observer.observer.space.angle_range(contact[:, 0], contact)
+        share = (contact[:, 1] - least) / np.maximum(width, 1e-300)
         # Over its mean: the integral of exp(−(u/s)⁴) over shares u.
-        mean = spans * gamma(1.25) * gammainc(0.25, spans**-4.0)
-        return np.asarray(np.exp(-((share / spans[:, None]) ** 4)) / mean[:, None])
+        mean = self.spans * gamma(1.25) * gammainc(0.25, self.spans**-4.0)
+        return np.asarray(np.exp(-((share / self.spans[:, None]) ** 4)) / mean[:, None])
 
-    for rows, starts, step, table in found.marginals(within=within):
+
+def _layers(sums: CellSums, spans: Array | None) -> Iterator[tuple[int, Component]]:
+    """ln of the joint density of each reading and the first coordinate, for each span of angles."""
+    marginal: Marginals
+    for marginal in sums.marginals(factors=None if spans is None else LargestAngles(spans)):
+        table = marginal.log if marginal.log.ndim > 2 else marginal.log[..., None]
         lengths = np.isfinite(table).any(axis=-1).cumsum(axis=1).argmax(axis=1) + 1
-        for row, start, log, end in zip(rows, starts, table, lengths, strict=True):
-            yield int(row), _Part(start, step, log[:end] + found.log_slope[row])
+        for i, start, log, end in zip(
+            marginal.readings, marginal.start, table, lengths, strict=True
+        ):
+            yield int(i), Component(start, marginal.step, log[:end] + sums.log_slope[i])
 
 
 class _Curve:
     """ln of the density of one reading over the first coordinate, (K,) of them, by splines."""
 
-    def __init__(self, parts: list[_Part]) -> None:
+    def __init__(self, parts: list[Component]) -> None:
         self.top = max(float(part.log.max()) for part in parts)
         parts = [part for part in parts if part.log.max() > self.top - 2 * DROP]
         self.low = min(part.start for part in parts)
@@ -246,8 +255,8 @@ def _products(
             continue
         own = None if group.covariance is None else group.covariance[rows]
         group = group._replace(readings=group.readings[rows], covariance=own)
-        parts, error = _parts(group, axis, node, spans)
-        for row, some, e in zip(rows, parts, error, strict=True):
+        components, error = _components(group, axis, node, spans)
+        for row, some, e in zip(rows, components, error, strict=True):
             curves[int(group.owner[row])].append(_Curve(some) if some else None)
             errors[int(group.owner[row])].append(float(e))
     # Infinitely many sds from every contact, as no tree follows, is no distance in common.
@@ -272,9 +281,7 @@ def _product(
         ends = observer.space.unconstrain_one(np.array(prior.support(), dtype=float), 0)
         low, high = max(low, float(ends[0])), min(high, float(ends[1]))
         quantiles = prior.ppf(ndtr(np.linspace(-8.0, 8.0, 257)))
-        steps = leaps(prior)
-        sharp = np.concatenate([quantiles, steps * (1 - 1e-12), steps * (1 + 1e-12)])
-        sharp = observer.space.unconstrain_one(sharp, 0)
+        sharp = observer.space.unconstrain_one(quantiles, 0)
         sharp = sharp[np.isfinite(sharp)]
     if not low < high:
         return OneDistance()

@@ -5,10 +5,10 @@ And what every engine gives back for that, and asks of a posterior before it sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from .coordinates import UNITS, ContactCoordinates, from_normal
 from .observer import Observer
 
 __all__ = [
-    "Estimate", "Posterior", "Solution", "Status", "beyond_reach", "contact_slope",
+    "AtReadings", "Estimate", "Posterior", "Solution", "Status", "beyond_reach", "contact_slope",
     "distance_prior", "held_prior", "is_improbable", "is_outside", "is_unidentified",
     "refuse_impossible",
 ]  # fmt: skip
@@ -58,6 +58,67 @@ class Estimate(NamedTuple):
     sd_error: Array
 
 
+class Solution(Protocol):
+    """What a method gives for B readings and keeps of their posteriors."""
+
+    @property
+    def estimates(self) -> list[Estimate]:
+        """Of each unknown, (B,)."""
+
+    @property
+    def status(self) -> Codes:
+        """A `Status` of each, (B,)."""
+
+    @property
+    def log_evidence(self) -> Array:
+        """(B,); NaN where the method does not give it."""
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown at probabilities (Q,)."""
+
+    def quantile_errors(self, p: Array, unknown: int) -> Array:
+        """Their estimated errors (B, Q); NaN where the method does not know them."""
+
+    def draws(self, count: int, seed: Seed) -> Array:
+        """Draws (B, chain, count, U) of the contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class AtReadings:
+    """A solution at readings (B,) that are these rows of its own; −1 is none, its numbers NaN."""
+
+    solution: Solution
+    row: Index
+    estimates: list[Estimate]
+    status: Codes
+    log_evidence: Array
+
+    @classmethod
+    def of(cls, solution: Solution, row: Index) -> AtReadings:
+        status = _at_rows(row, solution.status)
+        return cls(
+            solution, row, [Estimate(*(_at_rows(row, v) for v in e)) for e in solution.estimates],
+            np.where(row < 0, Status.NOT_A_READING, status).astype(np.int8),
+            _at_rows(row, solution.log_evidence),
+        )  # fmt: skip
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        return _at_rows(self.row, self.solution.quantiles(p, unknown))
+
+    def quantile_errors(self, p: Array, unknown: int) -> Array:
+        return _at_rows(self.row, self.solution.quantile_errors(p, unknown))
+
+    def draws(self, count: int, seed: Seed) -> Array:
+        return _at_rows(self.row, self.solution.draws(count, seed))
+
+
+def _at_rows(row: Index, values: NDArray[Any]) -> Array:
+    """Rows of values, NaN where the row is −1."""
+    out = np.full((len(row), *values.shape[1:]), np.nan)
+    out[row >= 0] = values[row[row >= 0]]
+    return out
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior(Shown):
     """The posterior of a contact given a reading, or of many.
@@ -84,9 +145,20 @@ class Posterior(Shown):
     estimates: Mapping[str, Estimate]
     status: Status
     log_evidence: Array
-    quantile_of: Callable[[Array, int], Array]  # (Q,) and which unknown → (B, Q)
-    draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
-    quantile_error_of: Callable[[Array, int], Array] | None = None
+    solution: AtReadings
+
+    @classmethod
+    def of(
+        cls, observer: Observer, reading: Array, method: str, solution: AtReadings
+    ) -> Posterior:
+        """With a leading axis where there are many readings, and none where there is one."""
+        i = 0 if reading.ndim == 1 else slice(None)
+        estimates = {
+            name: Estimate(*(values[i] for values in estimate))
+            for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
+        }
+        status = member(Status, solution.status[i])
+        return cls(observer, reading, method, estimates, status, solution.log_evidence[i], solution)
 
     @cached_property
     def outcome(self) -> Outcome:
@@ -149,7 +221,7 @@ class Posterior(Shown):
         p = finite("probability", probability, "write a number between 0 and 1")
         if np.any((p <= 0) | (p >= 1)):
             raise Refusal("A probability lies between 0 and 1", p, "write 0.975, say")
-        values = self.quantile_of(np.atleast_1d(p), self._column(of))
+        values = self.solution.quantiles(np.atleast_1d(p), self._column(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
 
@@ -172,10 +244,8 @@ class Posterior(Shown):
         True
         """
         shape = np.shape(self.quantile(probability, of=of))
-        if self.quantile_error_of is None:
-            return np.full(shape, np.nan)[()]
         p = np.atleast_1d(np.asarray(probability, dtype=float))
-        return np.reshape(self.quantile_error_of(p, self._column(of)), shape)[()]
+        return np.reshape(self.solution.quantile_errors(p, self._column(of)), shape)[()]
 
     def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Array:
         """Equal-tailed interval: lower and upper end along the last axis.
@@ -203,8 +273,7 @@ class Posterior(Shown):
             )
         }  # fmt: skip
         rows = []
-        # The last first: what is worked out for an angle has the distance's interval with it.
-        ends = {name: self.interval(0.95, of=name) for name in reversed(self.observer.unknowns)}
+        ends = {name: self.interval(0.95, of=name) for name in self.observer.unknowns}
         for name, estimate in self.estimates.items():
             low, high = np.moveaxis(np.atleast_2d(ends[name]), -1, 0)
             columns = {key: np.atleast_1d(v) for key, v in estimate._asdict().items()}
@@ -239,7 +308,7 @@ class Posterior(Shown):
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;
         quadrature and Laplace are drawn from with `seed`. Many readings add a dimension.
         """
-        values = self.draws_of(draws, seed)
+        values = self.solution.draws(draws, seed)
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
         if self.reading.ndim == 1:
             values = values[:, :, 0]
@@ -256,37 +325,6 @@ class Posterior(Shown):
                     sorted({Status(int(s)).message for s in np.atleast_1d(self.status)})
                 ),
             },
-        )
-
-
-class Solution(NamedTuple):
-    """What a method gives for readings (B, S)."""
-
-    estimates: list[Estimate]
-    status: Codes
-    log_evidence: Array
-    quantile_of: Callable[[Array, int], Array]
-    draws_of: Callable[[int, Seed], Array]
-    #: Errors of the quantiles, where the method knows them.
-    quantile_error_of: Callable[[Array, int], Array] | None = None
-
-    def of(self, row: Index) -> Solution:
-        """The same for readings (B,) that are these rows here; −1 is none, and its numbers NaN."""
-        none = row < 0
-
-        def put(values: NDArray[Any]) -> Array:
-            out = np.full((len(row), *values.shape[1:]), np.nan)
-            out[~none] = values[row[~none]]
-            return out
-
-        error_of, status = self.quantile_error_of, put(self.status)
-        return Solution(
-            [Estimate(*map(put, estimate)) for estimate in self.estimates],
-            np.where(none, Status.NOT_A_READING, status).astype(np.int8),
-            put(self.log_evidence),
-            lambda p, unknown: put(self.quantile_of(p, unknown)),
-            lambda count, seed: put(self.draws_of(count, seed)),
-            error_of and (lambda p, unknown: put(error_of(p, unknown))),
         )
 
 
@@ -357,9 +395,10 @@ def held_prior(observer: Observer, r: Array, given: float | None = None) -> Arra
     contact = np.ones((*r.shape, scores.shape[1], len(observer.unknowns)))
     contact[..., 0] = r[..., None]
     for i, name in enumerate(names, observer.bounded):
-        at = from_normal(observer.prior[name])
-        fixed = at(np.zeros(1)) if given is None else given
-        contact[..., i] = at(scores[free.index(name)]) if name in free else fixed
+        prior = observer.prior[name]
+        fixed = from_normal(prior, np.zeros(1)) if given is None else given
+        varies = name in free
+        contact[..., i] = from_normal(prior, scores[free.index(name)]) if varies else fixed
     if observer.bounded > 1:
         least, held = observer.space.angle_range(contact[..., 0], contact)
         if "deflection_angle" in observer.prior:

@@ -1,61 +1,85 @@
 """Weighted cells: moments, intervals and draws of posteriors, read off in one place.
 
 A posterior is an even lattice of cells in the observer's coordinates, each with the ln of its
-density. Between the cells ln of the density is interpolated by cubics, which is exact for a
-Gaussian. Quantiles are those of *spans*, stretches of an unknown over which mass is spread evenly.
+density. Sums over the lattice are exact but for what `CellSums.error` says. Between cells ln of
+the density is interpolated by cubics, which is exact for a Gaussian, and integrated.
+`WeightedPosteriors` is what all sums have in common, whether of cells or over nodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from itertools import product
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator, make_interp_spline
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from .._util.values import Array, Flags, Index
 from .._util.weights import half_error, resampled
+from .cells import Lattices
+from .conditional import Conditional
 
 __all__ = [
-    "OVER", "Leaves", "Spans", "Sums", "between_nodes", "density_of_distance", "extrapolated",
-    "in_one", "interpolate", "masses", "mixed", "spans_between",
+    "OVER", "CellSums", "Spans", "WeightedPosteriors", "between_nodes", "density_of_distance",
+    "extrapolated", "in_one", "interpolate", "masses", "mixed", "spans_between",
 ]  # fmt: skip
 
-#: Parts of a step between cells over which mass is spread evenly: of one lattice axis and of two.
-#: The share of an sd by which a Gaussian's quantiles are so off is 1e-4 and 4e-4.
+#: Points between cells at which densities are interpolated: along the distance, and along the
+#: second unknown at each distance. Quantiles of a Gaussian are so off by less than 1e-4 sd.
 PARTS = 16, 4
-#: Nats below the highest density beyond which cells have no say in the quantiles of angles.
+#: Nats below the highest density beyond which cells do not count in quantiles of the second
+#: unknown.
 DEPTH = 14.0
 #: Proposals for each draw.
 OVER = 4
+#: Numbers at once, in quantiles of the second unknown: 16 MB.
+NUMBERS = 2_000_000
+#: Where quantiles of the second unknown are first looked for, in sds from its mean.
+GRID = np.array([-8.0, -5.0, -3.5, -2.5, -2.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.0, 2.5, 3.5, 5.0, 8.0])
 
 
-class Leaves(NamedTuple):
-    """The last cells of some readings, all of one step (U,): pairs sorted by reading.
+class WeightedPosteriors(Protocol):
+    """Posteriors of B readings of U unknowns as weighted cells; NaN where there is none.
 
-    Rows (n,) of the readings, where the pairs of each begin (n,), and of each pair the place of the
-    cell in steps (U, P) and ln of the density (P,).
+    Attributes
+    ----------
+    mean, sd, best : array, shape (B, U)
+        Moments, and the contact of highest density.
+    error : array, shape (B,)
+        Estimated error of means and sds, in sds; infinite where there is no sum.
+    log_evidence : array, shape (B,)
     """
 
-    step: Array
-    rows: Index
-    first: Index
-    place: NDArray[np.int32]
-    log: Array
+    mean: Array
+    sd: Array
+    best: Array
+    error: Array
+    log_evidence: Array
 
     @property
-    def owner(self) -> Index:
-        """The number among `rows` of each pair, (P,)."""
-        return np.repeat(np.arange(len(self.rows)), np.diff(self.first, append=len(self.log)))
+    def bytes(self) -> int:
+        """Memory of the cells."""
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown at probabilities (Q,)."""
+
+    def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
+        """Stretches of an unknown and their masses, for one or more readings at a time."""
+
+    def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
+        """Draws (B, count, U) of the contact, given the readings (B, R)."""
 
 
-class Spans(NamedTuple):
-    """Of rows (n,) of readings: stretches of an unknown (n, K), and the mass in each."""
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """Of readings (n,), stretches of an unknown (n, K), over which mass is spread evenly.
 
-    rows: Index
+    Stretches may overlap.
+    """
+
+    readings: Index
     low: Array
     high: Array
     mass: Array
@@ -68,7 +92,7 @@ class Spans(NamedTuple):
         slope = self.mass / np.maximum(width, 1e-300)
         slope = np.concatenate([slope, -slope], axis=1)
         ends[:, count:] = self.low + width
-        order = np.argsort(ends, axis=1)
+        order = np.argsort(ends, axis=1, kind="stable")
         ends = np.take_along_axis(ends, order, axis=1)
         density = np.cumsum(np.take_along_axis(slope, order, axis=1), axis=1)[:, :-1]
         rise = np.zeros_like(ends)
@@ -77,30 +101,32 @@ class Spans(NamedTuple):
         return np.stack([np.interp(p, up, at) for up, at in zip(rise, ends, strict=True)])
 
 
-class Sums:
+class CellSums:
     """Posteriors of `count` readings as weighted cells and their sums, NaN until there are any.
 
-    Attributes
+    As `WeightedPosteriors`, and `log_slope` (B,): ln of the density of a reading over that of what
+    cells take for it.
+
+    Parameters
     ----------
-    mean, sd : array, shape (B, U)
-    error : array, shape (B,)
-        Estimated error of means and sds, in sds; infinite where there is no sum.
-    log_evidence : array, shape (B,)
-    best : array, shape (B, U)
-        The contact of the cell of highest density.
-    log_slope : array, shape (B,)
-        ln of the density of a reading over that of what cells take for it.
+    count, unknowns : int
+        B and U.
+    observer : Conditional
+    which : array, shape (B,)
+        The number of what is given to the observer for each reading.
     """
 
-    def __init__(self, count: int, unknowns: int, observer: Any, which: Index) -> None:
+    def __init__(self, count: int, unknowns: int, observer: Conditional, which: Index) -> None:
         self.observer, self.which = observer, which
         self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
         self.log_evidence, self.log_slope = np.full((2, count), np.nan)
-        self.error, self._part = np.full(count, np.inf), np.full(count, -1)
-        self._leaves: list[Leaves] = []
+        self.error = np.full(count, np.inf)
+        #: Which of the lattices each reading is in.
+        self._at = np.full(count, -1)
+        self._lattices: list[Lattices] = []
 
-    def add(self, leaves: Leaves, contact: Array, log_slope: Array, smooth: bool) -> Array:
-        """Sum over leaves in place of any that their readings had: by how much halves differ.
+    def add(self, lattices: Lattices, contact: Array, log_slope: Array, smooth: bool) -> Array:
+        """Sum over lattices in place of any that their readings had: by how much halves differ.
 
         With the contacts (U, P) of the cells.
 
@@ -109,12 +135,12 @@ class Sums:
         along one axis (U, n) differ by; that itself where the density has kinks. (Halves as on a
         chessboard see nothing of ridges oblique to both axes: 560 of 1025 errors were so missed.)
         """
-        step, at, first, place, log = leaves
-        owner, unknowns = leaves.owner, len(step)
+        step, at, first = lattices.step, lattices.readings, lattices.first
+        log, owner, unknowns = lattices.log, lattices.owner, len(step)
         top = np.maximum.reduceat(log, first)
         weight = np.exp(log - top[owner])
         total = np.add.reduceat(weight, first)
-        signs = 1.0 - 2.0 * (place & 1)
+        signs = 1.0 - 2.0 * (lattices.place & 1)
         each = np.zeros((unknowns, len(at)))
         halves = [np.add.reduceat(weight * s, first) for s in signs]
         for i in range(unknowns):
@@ -149,161 +175,326 @@ class Sums:
         highest = np.flatnonzero(log == top[owner])
         highest = highest[np.unique(owner[highest], return_index=True)[1]]
         self.best[at] = contact[:, highest].T
-        self._part[at] = len(self._leaves)
-        self._leaves.append(leaves)
+        self._at[at] = len(self._lattices)
+        self._lattices.append(lattices)
         return each
 
     @property
     def bytes(self) -> int:
         """Memory of the cells."""
-        return sum(leaves.place.nbytes + leaves.log.nbytes for leaves in self._leaves)
+        return sum(each.place.nbytes + each.log.nbytes for each in self._lattices)
 
-    def leaves(self, among: Flags | None = None) -> Iterator[Leaves]:
-        """Leaves, but for those that were summed again, of readings `among` (B,) if given."""
-        for i, leaves in enumerate(self._leaves):
-            mine = self._part[leaves.rows] == i
+    def lattices(self, among: Flags | None = None) -> Iterator[Lattices]:
+        """Lattices, but for those that were summed again, of readings `among` (B,) if given."""
+        for i, each in enumerate(self._lattices):
+            current = self._at[each.readings] == i
             if among is not None:
-                mine &= among[leaves.rows]
-            if mine.all():
-                yield leaves
-            elif mine.any():
-                counts = np.diff(leaves.first, append=len(leaves.log))
-                some = np.repeat(mine, counts)
-                first = np.append(0, np.cumsum(counts[mine])[:-1])
-                yield Leaves(leaves.step, leaves.rows[mine], first, leaves.place[:, some],
-                             leaves.log[some])  # fmt: skip
+                current &= among[each.readings]
+            if current.all():
+                yield each
+            elif current.any():
+                yield each.of(current)
 
     # -- along one axis ----------------------------------------------------------------------------
 
     def marginals(
-        self, among: Flags | None = None, within: Callable[[Leaves], Array] | None = None
-    ) -> Iterator[tuple[Index, Array, float, Array]]:
-        """ln of the density of the first coordinate at even places.
-
-        For some rows (n,) at a time: the first place (n,), the step, and ln of the density (n, L),
-        −inf where there is no cell; (n, L, K) by factors (K, P) of the cells, if any.
-        """
-        for leaves in self.leaves(among):
-            step, place = leaves.step, leaves.place[0].astype(np.intp)
-            low = np.minimum.reduceat(place, leaves.first)
-            owner = leaves.owner
+        self, among: Flags | None = None, factors: SpanFactors | None = None
+    ) -> Iterator[Marginals]:
+        """ln of the density of the first coordinate at even places, for some readings at a time."""
+        for lattices in self.lattices(among):
+            step, place = lattices.step, lattices.place[0].astype(np.intp)
+            low = np.minimum.reduceat(place, lattices.first)
+            owner = lattices.owner
             place -= low[owner]
             count = int(place.max()) + 1
-            top = np.maximum.reduceat(leaves.log, leaves.first)
-            weight = np.exp(leaves.log - top[owner])
+            top = np.maximum.reduceat(lattices.log, lattices.first)
+            weight = np.exp(lattices.log - top[owner])
             index, size = owner * count + place, len(low) * count
-            factors = np.ones((1, len(weight))) if within is None else within(leaves)
-            mass = np.stack([np.bincount(index, weight * f, size) for f in factors], axis=-1)
+            times = np.ones((1, 1)) if factors is None else factors.at(self, lattices)
+            mass = np.stack([np.bincount(index, weight * f, size) for f in times], axis=-1)
             with np.errstate(divide="ignore"):
                 log = np.log(mass.reshape(len(low), count, -1)) + top[:, None, None]
-            log = log[..., 0] if within is None else log
-            yield leaves.rows, (low + 0.5) * step[0], step[0], log + np.log(step[1:]).sum()
+            log = log[..., 0] if factors is None else log
+            log += np.log(step[1:]).sum()
+            yield Marginals(lattices.readings, (low + 0.5) * step[0], float(step[0]), log)
 
-    def spans(self, unknown: int, stride: int = 1, among: Flags | None = None) -> Iterator[Spans]:
-        """Spans of an unknown, for some readings at a time, `among` (B,) alone if given.
+    def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
+        """Spans of the distance, for some readings at a time; half as many with a stride of 2."""
+        assert unknown == 0
+        for marginal in self.marginals():
+            x, log = interpolate(marginal.log, PARTS[0] // stride)
+            x = marginal.start[:, None] + marginal.step * x
+            value = self.observer.distance(x, self.which[marginal.readings])
+            yield spans_between(marginal.readings, value, log)
 
-        At every second point with a stride of 2, at every fourth with one of 4.
-        """
+    def quantiles(self, p: Array, unknown: int, among: Flags | None = None) -> Array:
+        """Quantiles (B, Q) of an unknown, of readings `among` (B,) if given, NaN of others."""
+        out = np.full((len(self.error), len(p)), np.nan)
         if unknown == 0:
-            for rows, start, step, log in self.marginals(among):
-                x, log = interpolate(log, PARTS[0] // stride)
-                value = self.observer.distance(start[:, None] + step * x, self.which[rows])
-                yield spans_between(rows, value, log)
-            return
-        for leaves in self.leaves(among):
-            # Some 4 million numbers at once.
-            size = max(1, 500_000 * len(leaves.rows) // (PARTS[1] * len(leaves.log)))
-            bounds = np.append(leaves.first, len(leaves.log))
-            for begin in range(0, len(leaves.rows), size):
-                end = min(begin + size, len(leaves.rows))
-                pairs = slice(bounds[begin], bounds[end])
-                some = Leaves(
-                    leaves.step, leaves.rows[begin:end], bounds[begin:end] - bounds[begin],
-                    leaves.place[:, pairs], leaves.log[pairs],
-                )  # fmt: skip
-                yield self._spans_of_angle(some, stride)
-
-    def _spans_of_angle(self, leaves: Leaves, stride: int) -> Spans:
-        """Spans of the second unknown, which depends on both coordinates: of finer cells."""
-        step, n = leaves.step, len(leaves.rows)
-        owner = leaves.owner
-        top = np.maximum.reduceat(leaves.log, leaves.first)
-        kept = leaves.log > (top - DEPTH)[owner]
-        owner = owner[kept]
-        place = leaves.place[:, kept].astype(np.intp)
-        first = np.flatnonzero(np.diff(owner, prepend=-1))
-        low = np.minimum.reduceat(place, first, axis=1)
-        place -= low[:, owner]
-        log = np.full((n, *(place.max(axis=1) + 1)), -np.inf)
-        log[owner, place[0], place[1]] = leaves.log[kept]
-        offsets = []
-        for axis in (2, 1):
-            log = np.moveaxis(log, axis, -1)
-            shape = log.shape[:-1]
-            x, fine = interpolate(log.reshape(-1, log.shape[-1]), PARTS[1] // stride)
-            log = np.moveaxis(fine.reshape(*shape, -1), -1, axis)
-            offsets.append(x)
-        inside = log > (top - DEPTH)[:, None, None]
-        row, i, j = np.nonzero(inside)
-        x = np.stack([low[0, row] + 0.5 + offsets[1][i], low[1, row] + 0.5 + offsets[0][j]], axis=1)
-        value = np.zeros(log.shape)
-        value[row, i, j] = self.observer.contact_at(x * step, self.which[leaves.rows[row]])[:, 1]
-        density = np.exp(log - top[:, None, None])
-        return _of_cells(leaves.rows, inside, value, density)
+            for marginal in self.marginals(among):
+                curves = Cumulative(marginal.log, PARTS[0] // 2)
+                x = marginal.start[:, None] + marginal.step * curves.inverse(p)
+                at = marginal.readings
+                out[at] = self.observer.distance(x, self.which[at])
+            return out
+        for lattices in self.lattices(among):
+            # Columns of a lattice are some tens, with some tens of cells each.
+            size = max(1, NUMBERS * len(lattices.readings) // (8 * PARTS[1] * len(lattices.log)))
+            for some in lattices.chunks(size):
+                at = some.readings
+                columns = Columns(some, self.observer, self.which[at], 1)
+                needed = columns.steps_needed(self.mean[at, 1], self.sd[at, 1])
+                for steps in np.unique(needed):
+                    for few in some.of(needed == steps).chunks(max(1, size // int(steps))):
+                        at = few.readings
+                        if steps > 1 or len(at) < len(some.readings):
+                            columns = Columns(few, self.observer, self.which[at], int(steps))
+                        out[at] = columns.quantiles(p, self.mean[at, 1], self.sd[at, 1])
+        return out
 
     # -- draws -------------------------------------------------------------------------------------
 
-    def proposals(self, count: int, rng: np.random.Generator, row: int) -> tuple[Array, Array]:
+    def proposals(
+        self, count: int, rng: np.random.Generator, reading: int
+    ) -> tuple[Array, Array]:
         """Coordinates (count, U) spread over the cells of one reading, and ln of their density.
 
         The density (count,) is up to a factor. Of cells of next to no density there are more than
         these have mass, as it may be higher elsewhere in them.
         """
-        among = np.arange(len(self.error)) == row
-        leaves = next(self.leaves(among))
-        step, top = leaves.step, leaves.log.max()
-        weight = np.exp(0.75 * (leaves.log - top))
+        among = np.arange(len(self.error)) == reading
+        lattice = next(self.lattices(among))
+        step, top = lattice.step, lattice.log.max()
+        weight = np.exp(0.75 * (lattice.log - top))
         weight /= weight.sum()
         chosen = rng.choice(len(weight), count, p=weight)
-        middle = leaves.place[:, chosen].T + 0.5
+        middle = lattice.place[:, chosen].T + 0.5
         x = (middle + rng.random(middle.shape) - 0.5) * step
         return x, np.log(weight[chosen]) - np.log(step).sum()
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((*self.mean.shape[:1], count, self.mean.shape[1]), np.nan)
-        for row in np.flatnonzero(np.isfinite(self.log_evidence)):
-            x, log_proposed = self.proposals(OVER * count, rng, int(row))
-            log, contact = self.observer.observer.log_density_and_contact(x, readings[row])
-            out[row] = contact[resampled(log - log_proposed, count, rng)]
+        for i in np.flatnonzero(np.isfinite(self.log_evidence)):
+            x, log_proposed = self.proposals(OVER * count, rng, int(i))
+            log, contact = self.observer.observer.log_density_and_contact(x, readings[i])
+            out[i] = contact[resampled(log - log_proposed, count, rng)]
         return out
 
 
-def _of_cells(rows: Index, inside: Flags, value: Array, density: Array) -> Spans:
-    """Spans of cells all of whose corners (n, I, J) are inside, from least to most value there."""
-    n, i, j = inside.shape
-    corners = [
-        (slice(None), slice(a, i - 1 + a), slice(b, j - 1 + b))
-        for a, b in product((0, 1), repeat=2)
-    ]
-    whole = np.logical_and.reduce([inside[c] for c in corners])
-    ends = np.stack([value[c][whole] for c in corners])
-    mass = sum(density[c][whole] for c in corners)
-    # Cells of one reading side by side; slots that are left have no mass.
-    counts = whole.sum(axis=(1, 2))
-    owner = np.repeat(np.arange(n), counts)
-    slot = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    out = []
-    for values in (ends.min(axis=0), ends.max(axis=0), mass):
-        filled = np.zeros((n, int(counts.max())))
-        filled[owner, slot] = values
-        out.append(filled)
-    return Spans(rows, *out)
+# -- cumulative densities --------------------------------------------------------------------------
 
 
-def spans_between(rows: Index, value: Array, log: Array) -> Spans:
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """ln of densities of the first coordinate at even places, of readings (n,).
+
+    The first place (n,) and the step; ln of the density is (n, L), or (n, L, K) by K factors; −inf
+    where there is no cell.
+    """
+
+    readings: Index
+    start: Array
+    step: float
+    log: Array
+
+
+class SpanFactors(Protocol):
+    """Factors (K, P) by which cells of lattices are weighed for marginals."""
+
+    def at(self, sums: CellSums, lattices: Lattices) -> Array: ...
+
+
+class Cumulative:
+    """Cumulative of densities (n, L) at even places of which ln is given, interpolated by cubics.
+
+    Integrals between points are of fourth order, and within them the density is linear.
+    """
+
+    def __init__(self, log: Array, parts: int) -> None:
+        x, fine = interpolate(log, parts)
+        self.first, self.parts = x[0], parts
+        #: ln of the highest density (n,), to which all are relative.
+        self.log_top = fine.max(axis=1)
+        with np.errstate(invalid="ignore"):  # NaN where there is no density at all
+            self.density = d = np.exp(fine - self.log_top[:, None])
+        mass = (d[:, 1:] + d[:, :-1]) / 2
+        mass[:, 1:-1] += (mass[:, 1:-1] - (d[:, 3:] + d[:, :-3]) / 2) / 12
+        self.mass = np.maximum(mass, 0.0)
+        self.below = np.zeros(d.shape)
+        np.cumsum(self.mass, axis=1, out=self.below[:, 1:])
+
+    def at(self, x: Array, which: Index) -> Array:
+        """Mass (m, Q) of densities `which` (m,) below places (m, Q), in steps from the first."""
+        last = self.mass.shape[1]
+        place = np.clip((x - self.first) * self.parts, 0.0, last)
+        cell = np.minimum(place.astype(np.intp), last - 1)
+        flat = cell + which[:, None] * (last + 1)
+        low, high = self.density.ravel()[flat], self.density.ravel()[flat + 1]
+        t = place - cell
+        share = t * (2 * low + t * (high - low)) / np.maximum(low + high, 1e-300)
+        mass = self.mass.ravel()[flat - which[:, None]]
+        return np.asarray(self.below.ravel()[flat] + share * mass)
+
+    def inverse(self, p: Array) -> Array:
+        """Places (n, Q), in steps from the first, below which there are shares p (Q,)."""
+        target = p * self.below[:, -1:]
+        cell = np.stack(
+            [np.searchsorted(b, t, side="right") for b, t in zip(self.below, target, strict=True)]
+        )
+        cell = np.clip(cell - 1, 0, self.mass.shape[1] - 1)
+        low, mass, below = (
+            np.take_along_axis(a, cell, axis=1) for a in (self.density, self.mass, self.below)
+        )
+        high = np.take_along_axis(self.density, cell + 1, axis=1)
+        share = np.clip((target - below) / np.maximum(mass, 1e-300), 0.0, 1.0)
+        # Of a linear density: low t + (high − low) t²/2 is this share of the mean.
+        root = np.sqrt(low**2 + share * (high**2 - low**2))
+        t = share * (low + high) / np.maximum(low + root, 1e-300)
+        return np.asarray(self.first + (cell + t) / self.parts)
+
+
+class Columns:
+    """Lattices of two unknowns as columns of one distance each.
+
+    The probability that the second unknown lies below a value is the sum over columns of their
+    masses below its coordinate there: over distances the trapezoidal rule. Where a line of one
+    value crosses a narrow ridge within a step, there are several `steps` of columns to one.
+    """
+
+    def __init__(
+        self, lattices: Lattices, observer: Conditional, which: Index, steps: int
+    ) -> None:
+        owner = lattices.owner
+        top = np.maximum.reduceat(lattices.log, lattices.first)
+        kept = lattices.log > (top - DEPTH)[owner]
+        owner, log = owner[kept], lattices.log[kept]
+        first, second = lattices.place[:, kept].astype(np.intp)
+        begin = np.flatnonzero(np.diff(owner, prepend=-1))
+        left = np.minimum.reduceat(first, begin)
+        if steps > 1:
+            first, second, owner, log = _with_finer_columns(first, second, owner, log, left, steps)
+            kept = log > (top - DEPTH)[owner]
+            first, second, owner, log = first[kept], second[kept], owner[kept], log[kept]
+            left = left * steps - steps
+        width = int((first - left[owner]).max()) + 1
+        column = owner * width + first - left[owner]
+        lowest = np.full(len(left) * width, np.iinfo(np.intp).max)
+        np.minimum.at(lowest, column, second)
+        present = np.flatnonzero(lowest < np.iinfo(np.intp).max)
+        number = np.zeros(len(lowest), dtype=np.intp)
+        number[present] = np.arange(len(present))
+        #: Of each column the number of its reading, and of each reading its first column.
+        self.owner = present // width
+        self.first = np.flatnonzero(np.diff(self.owner, prepend=-1))
+        place = second - lowest[column]
+        table = np.full((len(present), int(place.max()) + 1), -np.inf)
+        table[number[column], place] = log
+        self.curves = Cumulative(table, PARTS[1])
+        self.weight = np.exp(self.curves.log_top - top[self.owner])
+        self.total = np.add.reduceat(self.weight * self.curves.below[:, -1], self.first)
+        self.start = (lowest[present] + 0.5)[:, None]
+        self.step = lattices.step[1]
+        x = ((left[self.owner] + present % width) / steps + 0.5) * lattices.step[0]
+        self.scale = observer.second_scale(x, which[self.owner])
+        low, high = self.scale.low, np.maximum.reduceat(self.scale.high, self.first)
+        #: The least value (n, 1) that the second unknown may have, and the largest.
+        self.bounds = np.full((len(high), 1), low), high[:, None]
+
+    def steps_needed(self, mean: Array, sd: Array) -> Index:
+        """How many columns to a step resolve the crossings of ridges, (n,): a power of 2.
+
+        A normal cumulative whose steps are 1.4 sds has a trapezoidal sum right to 1e-5.
+        """
+        value = (mean[:, None] + sd[:, None] * [-1.8, -0.9, 0.0, 1.0, 2.2])[self.owner]
+        every = np.arange(len(self.owner))
+        x = self.scale.coordinate(value, every) / self.step - self.start
+        mass = self.curves.below[:, -1:]
+        score = np.clip(ndtri(np.clip(self.curves.at(x, every) / mass, 0.0, 1.0)), -6.0, 6.0)
+        move = np.abs(np.diff(score, axis=0, append=score[-1:]))
+        crosses = np.diff(score > 0, axis=0, append=score[-1:] > 0)
+        same = np.append(self.owner[1:] == self.owner[:-1], False)
+        heavy = self.weight * mass[:, 0] > 1e-4 * self.total[self.owner]
+        counts = np.asarray(same & heavy)[:, None]
+        move = np.where(crosses & counts, move, 0.0).max(axis=1)
+        most = np.maximum.reduceat(move, self.first)
+        power = np.ceil(np.log2(np.maximum(most / 1.4, 1.0))).astype(np.intp)
+        return np.asarray(2**power)
+
+    def score(self, value: Array, among: Flags) -> Array:
+        """Normal scores of the probabilities (n, Q) below values (n, Q), of readings `among`."""
+        mine = np.flatnonzero(among[self.owner])
+        number = np.cumsum(among) - 1
+        owner = number[self.owner[mine]]
+        x = self.scale.coordinate(value[owner], mine) / self.step - self.start[mine]
+        below = self.weight[mine, None] * self.curves.at(x, mine)
+        first = np.flatnonzero(np.diff(owner, prepend=-1))
+        below = np.add.reduceat(below, first, axis=0) / self.total[among, None]
+        return np.clip(ndtri(np.clip(below, 0.0, 1.0)), -38.0, 38.0)
+
+    def quantiles(self, p: Array, mean: Array, sd: Array) -> Array:
+        """Quantiles (n, Q) of the second unknown, of moments (n,), at probabilities (Q,).
+
+        Scores of values are all but straight lines: regula falsi with Illinois steps converges in
+        three or four.
+        """
+        wanted, everyone = ndtri(p), np.ones(len(mean), dtype=bool)
+        lowest, highest = self.bounds
+        grid = np.clip(mean[:, None] + sd[:, None] * GRID, lowest, highest)
+        score = np.pad(self.score(grid, everyone), ((0, 0), (1, 1)), constant_values=(-38.0, 38.0))
+        ends = np.maximum(lowest, grid[:, :1] - 40 * sd[:, None]), np.minimum(
+            highest, grid[:, -1:] + 40 * sd[:, None]
+        )
+        grid = np.concatenate([ends[0], grid, ends[1]], axis=1)
+        above = np.maximum((score[:, None] >= wanted[:, None]).argmax(axis=2), 1)
+        low, high = (np.take_along_axis(grid, above - i, axis=1) for i in (1, 0))
+        below, beyond = (np.take_along_axis(score, above - i, axis=1) - wanted for i in (1, 0))
+        out, side = np.where(beyond == 0, high, low), np.zeros(low.shape)
+        done = np.asarray(beyond == 0)
+        for _ in range(80):
+            active = np.asarray(~done.all(axis=1))
+            if not active.any():
+                break
+            rows = np.flatnonzero(active)
+            a, b, fa, fb = low[rows], high[rows], below[rows], beyond[rows]
+            guess = a - fa * (b - a) / np.maximum(fb - fa, 1e-300)
+            off = self.score(guess, active) - wanted
+            over = off >= 0
+            again = np.where(over, 1.0, -1.0) == side[rows]
+            open_ = ~done[rows]
+            out[rows] = np.where(open_, guess, out[rows])
+            done[rows] |= (np.abs(off) < 1e-7) | (b - a < 1e-6 * sd[rows, None])
+            high[rows], beyond[rows] = np.where(over, guess, b), np.where(
+                over, off, np.where(again, fb / 2, fb)
+            )
+            low[rows], below[rows] = np.where(over, a, guess), np.where(
+                over, np.where(again, fa / 2, fa), off
+            )
+            side[rows] = np.where(over, 1.0, -1.0)
+        return out
+
+
+def _with_finer_columns(
+    first: Index, second: Index, owner: Index, log: Array, left: Index, steps: int
+) -> tuple[Index, Index, Index, Array]:
+    """Places along both axes, owner, and ln of the density, of cells with columns in between.
+
+    The places along the first axis are in steps so many times as small.
+    """
+    begin = np.flatnonzero(np.diff(owner, prepend=-1))
+    low = np.minimum.reduceat(second, begin)
+    i, j = first - left[owner], second - low[owner]
+    table = np.full((len(left), int(j.max()) + 1, int(i.max()) + 1), -np.inf)
+    table[owner, j, i] = log
+    fine = interpolate(table.reshape(-1, table.shape[2]), steps)[1]
+    fine = fine.reshape(*table.shape[:2], -1)
+    owner, j, i = np.nonzero(np.isfinite(fine))
+    return left[owner] * steps - steps + i, low[owner] + j, owner, fine[owner, j, i]
+
+
+def spans_between(readings: Index, value: Array, log: Array) -> Spans:
     """Spans between values (n, K) at which ln of the density is given, at even places."""
-    return Spans(rows, value[:, :-1], value[:, 1:], masses(log))
+    return Spans(readings, value[:, :-1], value[:, 1:], masses(log))
 
 
 def masses(log: Array) -> Array:
@@ -316,8 +507,8 @@ def masses(log: Array) -> Array:
 def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     """Cubic interpolation of ln of densities (n, L) at even places, −inf where not known.
 
-    Beyond what is known, for three steps to either side and in gaps, ln of the density goes on as
-    a parabola that falls. Returns places (K,) in steps from the first, and values (n, K).
+    Beyond what is known, for a step to either side, and in gaps, ln of the density goes on as a
+    parabola that falls. Returns places (K,) in steps from the first, and values (n, K).
     """
     n, count = log.shape
     pad = np.full((n, count + 6), -np.inf)
@@ -332,7 +523,7 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
                     on = np.minimum(3 * a - 3 * b + c, 2 * a - b)
                     pad[gap, j] = np.where(np.isfinite(on), np.minimum(on, a - 1), a - 8)
     pad = pad[:, 1:-1]
-    unknown = ~np.isfinite(pad).any(axis=1)
+    unknown = np.asarray(~np.isfinite(pad).any(axis=1))
     pad[unknown] = 0.0
     t = np.arange(parts) / parts
     cubic = np.stack(
@@ -344,55 +535,60 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     # Beside a cliff a cubic overshoots.
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
     out = np.minimum(out, ceiling[..., None])
-    out[unknown] = -np.inf
-    return np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
+    x, out = np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
+    known = np.asarray(np.isfinite(log))
+    first, last = known.argmax(axis=1), count - 1 - known[:, ::-1].argmax(axis=1)
+    beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
+    out[np.asarray(beyond | unknown[:, None])] = -np.inf
+    return x, out
 
 
-def extrapolated(sums: Any, p: Array, unknown: int, stride: int = 1, *among: Any) -> Array:
-    """Quantiles (B, Q) by spans, and by half as many: their error of second order is removed."""
-    out = np.full((len(sums.error), len(p)), np.nan)
-    both = sums.spans(unknown, stride, *among), sums.spans(unknown, 2 * stride, *among)
-    for fine, coarse in zip(*both, strict=True):
-        value = fine.quantiles(p)
-        out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
+def extrapolated(fine: Iterator[Spans], coarse: Iterator[Spans], p: Array, count: int) -> Array:
+    """Quantiles (count, Q) by spans, and by half as many: their error of second order is removed.
+    """
+    out = np.full((count, len(p)), np.nan)
+    for spans, half in zip(fine, coarse, strict=True):
+        value = spans.quantiles(p)
+        out[spans.readings] = value + (value - half.quantiles(p)) / 3
     return out
 
 
-def density_of_distance(sums: Any, r: Array) -> Array:
+def density_of_distance(sums: WeightedPosteriors, r: Array) -> Array:
     """Posterior density (B,) of the radial distance at r (B,), 1/m."""
     out = np.zeros(len(r))
     for spans in sums.spans(0):
-        inside = (spans.low <= r[spans.rows, None]) & (r[spans.rows, None] < spans.high)
+        value = r[spans.readings, None]
+        inside = (spans.low <= value) & (value < spans.high)
         width = np.where(inside, spans.high - spans.low, 1.0)
-        out[spans.rows] = (inside * spans.mass / width).sum(axis=1) / spans.mass.sum(axis=1)
+        out[spans.readings] = (inside * spans.mass / width).sum(axis=1) / spans.mass.sum(axis=1)
     return out
 
 
 def mixed(
-    rows: Index, log: Array, held: Flags, quantile: Array, scores: Array, parts: int
+    readings: Index, log: Array, known: Flags, quantile: Array, scores: Array, parts: int
 ) -> Spans:
     """Spans of a mixture over nodes of conditional distributions, given their quantiles.
 
     Between nodes quantiles are interpolated: conditional distributions may have two modes.
     """
-    weight, quantile = between_nodes(log, held, quantile, parts)
+    weight, quantile = between_nodes(log, known, quantile, parts)
     # Between scores mass is all but that of a Gaussian, which is not spread evenly.
     fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
-    return in_one(rows, weight, PchipInterpolator(scores, quantile, axis=1)(fine), ndtr(fine))
+    return in_one(readings, weight, PchipInterpolator(scores, quantile, axis=1)(fine), ndtr(fine))
 
 
-def between_nodes(log: Array, held: Flags, table: Array, parts: int) -> tuple[Array, Array]:
+def between_nodes(log: Array, known: Flags, table: Array, parts: int) -> tuple[Array, Array]:
     """Weights (M,) and numbers (M, K) at nodes (...) and between them, of all that have weight.
 
     ln of the evidence (...) is interpolated by splines, numbers (..., K) by cubics without
-    overshoot; a node that is not held has those of the nearest that is.
+    overshoot; a node without has those of the nearest that is.
     """
-    if not held.all():
-        place = np.argwhere(held)
-        for i in np.argwhere(~held):
+    if not known.all():
+        place = np.argwhere(known)
+        for i in np.argwhere(~known):
             nearest = place[np.abs(place - i).sum(axis=1).argmin()]
             table[tuple(i)] = table[tuple(nearest)]
-    log = np.maximum(log - log[held].max(), -45.0)
+    log = np.maximum(log - log[known].max(), -45.0)
     for d, n in enumerate(log.shape):
         if n > 1:
             fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
@@ -403,8 +599,8 @@ def between_nodes(log: Array, held: Flags, table: Array, parts: int) -> tuple[Ar
     return np.exp(log[heavy] - log.max()), table.reshape(len(log), -1)[heavy]
 
 
-def in_one(rows: Index, weight: Array, quantile: Array, p: Array) -> Spans:
+def in_one(readings: Index, weight: Array, quantile: Array, p: Array) -> Spans:
     """Spans of the mixture of distributions of `weight` (M,) with quantiles (M, Q) at p (Q,)."""
     quantile = np.maximum.accumulate(quantile, axis=1)
     low, high, mass = quantile[:, :-1], quantile[:, 1:], weight[:, None] * np.diff(p)
-    return Spans(rows, *(part.reshape(1, -1) for part in (low, high, mass)))
+    return Spans(readings, *(part.reshape(1, -1) for part in (low, high, mass)))

@@ -164,7 +164,7 @@ def posteriors(
             ax.set(xticks=[], yticks=[])
             return ax
         column = result.observer.unknowns.index(of)
-        values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
+        values = result.solution.draws(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
         ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
         low, high = np.asarray(result.interval(0.95, of=of)) / unit
         ax.axvline(float(mean), color=COLOURS[0], label=f"mean {mean:.3g}")

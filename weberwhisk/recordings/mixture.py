@@ -24,9 +24,9 @@ from ..cues.protocol import is_curved
 from ..inference import Observer, default_noise
 from ..inference import layers as inference_layers
 from ..inference.coordinates import unconstrain_distance
-from ..inference.methods import sums_of
 from ..inference.one_distance import ReadingGroup, one_distance
-from ..inference.weighted import between_nodes, extrapolated, in_one
+from ..inference.quadrature import sums_of
+from ..inference.weighted import between_nodes, in_one
 from ..mechanics import Profile, Spiral
 from ..mechanics.shape import with_modulus
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
@@ -370,7 +370,7 @@ def _row(
         errors = errors.reshape(-1, *errors.shape[2:])
     found = sums_of(observer, y, errors)
     table = np.zeros((len(y), len(p) + 6))
-    table[:, : len(p)] = extrapolated(found, p, 0)
+    table[:, : len(p)] = found.quantiles(p, 0)
     bounded = observer.bounded
     table[:, len(p) : len(p) + 2 * bounded : 2] = found.mean[:, :bounded]
     table[:, len(p) + 1 : len(p) + 1 + 2 * bounded : 2] = found.sd[:, :bounded]

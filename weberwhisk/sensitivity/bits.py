@@ -17,8 +17,8 @@ from .._util.refusals import Refusal
 from .._util.values import Array, pd
 from ..cues import Fused
 from ..cues.protocol import Cue
-from ..inference.methods import sums_of
 from ..inference.observer import Observer
+from ..inference.quadrature import sums_of
 from ..inference.result import distance_prior
 from ..inference.weighted import density_of_distance
 from ..mechanics.contact import Outcome

@@ -1,0 +1,153 @@
+"""Posteriors by quadrature: sums of cells, or over nodes of them, of many readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._util.refusals import Refusal, argument
+from .._util.values import Array
+from ..receptors import Seed
+from . import tree
+from .approximate import find_mode
+from .descent import cell_sums
+from .layers import LayeredSums
+from .nodes import Layers
+from .observer import Observer
+from .result import Estimate, Status, is_improbable, is_unidentified, refuse_impossible
+from .tree import DROP, TOLERANCE, tree_of
+from .weighted import WeightedPosteriors
+
+__all__ = ["QuadratureSolution", "quadrature", "sums_of"]
+
+#: Most readings that are solved together, for progress; of unknowns that have priors alone, whose
+#: readings have up to 3 MB of cells each.
+TOGETHER, LAYERED = 2048, 32
+
+
+def sums_of(
+    observer: Observer,
+    readings: Array,
+    covariance: Array | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    drop: float = DROP,
+) -> WeightedPosteriors:
+    """The posteriors of readings (B, R) as weighted cells.
+
+    With the covariances (B, R, R) of measurement errors, which add to the receptors' noise; cells
+    whose density is `drop` nats below the highest are left out.
+    """
+    if len(observer.unknowns) > observer.inner:
+        layers = Layers(observer, tolerance, observer.inner)
+        return LayeredSums(layers, readings, covariance, drop)
+    return cell_sums(tree_of(observer, tolerance), readings, covariance, drop=drop)
+
+
+def quadrature(
+    observer: Observer, reading: Array, seed: Seed, tolerance: float | None,
+    progress: Callable[[int, int], None] | None,
+) -> QuadratureSolution:  # fmt: skip
+    """Posteriors of readings (B, R) by quadrature."""
+    if len(observer.unknowns) > 4:
+        raise Refusal(
+            "Quadrature sums over four unknowns at most",
+            f"{len(observer.unknowns)} ({', '.join(observer.unknowns)})",
+            "write " + argument("method", "emcee"),
+        )
+    return QuadratureSolution(observer, reading, tolerance or TOLERANCE, progress)
+
+
+class QuadratureSolution:
+    """Posteriors of many readings (B, R) by quadrature, some at a time.
+
+    Their cells are kept while they fit in half of `tree.MEMORY`; those of later readings are summed
+    again where quantiles or draws are asked for, as are all in a copy from a pickle.
+    """
+
+    def __init__(
+        self, observer: Observer, readings: Array, tolerance: float,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:  # fmt: skip
+        self.observer, self.readings, self.tolerance = observer, readings, tolerance
+        #: Where chunks of readings begin and end, and their sums while they are kept.
+        self.chunks: list[tuple[int, int]] = []
+        self._sums: list[WeightedPosteriors | None] = []
+        columns: list[tuple[Array, ...]] = []
+        done, room = 0, tree.MEMORY / 2
+        layered = len(observer.unknowns) > observer.inner
+        size = LAYERED if layered else TOGETHER
+        while done < len(readings) or not columns:
+            chunk = done, min(done + size, len(readings))
+            sums = self._summed(chunk)
+            columns.append((sums.mean, sums.sd, sums.error, sums.log_evidence, sums.best))
+            room -= sums.bytes
+            self.chunks.append(chunk)
+            self._sums.append(sums if room > 0 else None)
+            done = chunk[1]
+            if not layered:  # so many that their cells take a quarter of the memory
+                size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED, TOGETHER))
+            if progress:
+                progress(done, len(readings))
+        self.mean, self.sd, self.error, self.log_evidence, best = (
+            np.concatenate(column) for column in zip(*columns, strict=True)
+        )
+        refuse_impossible(readings, np.nan_to_num(self.log_evidence, nan=-np.inf))
+        self.status = _status(observer, readings, best, self.error, tolerance)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_sums": [None] * len(self._sums)}
+
+    @property
+    def estimates(self) -> list[Estimate]:
+        """Of each unknown."""
+        columns = zip(self.mean.T, self.sd.T, strict=True)
+        return [Estimate(m, s, self.error * s, self.error * s) for m, s in columns]
+
+    def _summed(self, chunk: tuple[int, int]) -> WeightedPosteriors:
+        return sums_of(self.observer, self.readings[slice(*chunk)], tolerance=self.tolerance)
+
+    def sums(self) -> Iterator[tuple[Array, WeightedPosteriors]]:
+        """Readings (n, R) and their sums, some at a time."""
+        for chunk, sums in zip(self.chunks, self._sums, strict=True):
+            yield self.readings[slice(*chunk)], sums or self._summed(chunk)
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        return np.concatenate([sums.quantiles(p, unknown) for _, sums in self.sums()])
+
+    def quantile_errors(self, p: Array, unknown: int) -> Array:
+        # A share of the mass that moves the mean by its error may lie on the wrong side; and what
+        # is interpolated between cells and nodes: a third of the most beside the kept truth.
+        interpolated = 2e-3 if len(self.observer.unknowns) == self.observer.inner else 6e-3
+        off = interpolated + self.error[:, None] / (4 * p * (1 - p))
+        return np.asarray(self.sd[:, unknown, None] * off)
+
+    def draws(self, count: int, seed: Seed) -> Array:
+        rng = np.random.default_rng(seed)
+        out = [sums.draws(4 * count, rng, readings) for readings, sums in self.sums()]
+        return np.concatenate(out).reshape(len(self.readings), 4, count, -1)
+
+
+def _status(
+    observer: Observer, readings: Array, best: Array, error: Array, tolerance: float
+) -> NDArray[np.int8]:
+    """The status of readings (B, R), by the contact of the best cell and the estimated error."""
+    status = np.where(error <= tolerance, Status.CONVERGED, Status.IMPRECISE)
+    if len(observer.unknowns) > 1:
+        # By the best cell, and where that says so by the mode itself. An error of a third of an sd
+        # is worse news than a ridge.
+        vague = np.flatnonzero(is_unidentified(observer, best) & (error < 0.3))
+        if vague.size:
+            mode, _ = find_mode(observer, readings[vague], observer.space.unconstrain(best[vague]))
+            vague = vague[is_unidentified(observer, observer.space.constrain(mode)[0])]
+        status[vague] = Status.UNIDENTIFIED
+    outside = is_improbable(observer, readings, best)
+    vague = np.flatnonzero(outside & (status == Status.IMPRECISE))
+    if vague.size:  # whose best cell may be the wrong one
+        mode, _ = find_mode(observer, readings[vague])
+        outside[vague] = is_improbable(observer, readings[vague], observer.space.constrain(mode)[0])
+    status[outside] = Status.IMPROBABLE_READING
+    return status.astype(np.int8)
