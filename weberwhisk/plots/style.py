@@ -156,7 +156,8 @@ def log_numbers(*axes: Axis, narrow: bool = False) -> None:
         low, high = axis.get_view_interval()
         decades = np.log10(high / low)
         # Most numbers a decade first, with the most decades that there is room for.
-        room = {(1.0, 2.0, 5.0): 1.0, (1.0, 3.0): 2.0} if narrow else {(1.0, 2.0, 5.0): 2.5}
+        room: dict[tuple[float, ...], float] = {(1.0, 2.0, 5.0): 1.0 if narrow else 2.5}
+        room |= {(1.0, 3.0): 2.0} if narrow else {}
         subs = next((places for places, most in room.items() if decades < most), (1.0,))
         axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter("{x:g}")
