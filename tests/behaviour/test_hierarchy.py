@@ -371,7 +371,7 @@ def test_reading_off_a_fit_and_its_draws_for_arviz() -> None:
         fit.interval(parameter="sprad")
     with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 1"):
         fit.interval(1.0)
-    with pytest.raises(ValueError, match=re.escape("write interval(parameter='spread')")):
+    with pytest.raises(ValueError, match=re.escape("write fit.interval(parameter='spread')")):
         fit.interval("spread")  # type: ignore[arg-type]
 
 

@@ -258,7 +258,7 @@ class Estimates(Shown):
             raise Refusal(
                 "the point of subjective equality is of a choice between two stimuli",
                 f"the task {self.model.task.name}",
-                "use threshold(), whose proportion you choose",
+                "write fit.threshold(proportion=0.5), say",
             )
         return self.threshold(standard, 0.5, mass=mass, with_bias=True)
 
@@ -356,7 +356,7 @@ def check_fit(fit: object, name: str = "fit") -> None:
 
 def tails(mass: float) -> tuple[float, float]:
     """Probabilities below the ends of an equal-tailed interval."""
-    hint = f"write interval(parameter={mass!r})" if isinstance(mass, str) else "write 0.95, say"
+    hint = f"write fit.interval(parameter={mass!r})" if isinstance(mass, str) else "write 0.95, say"
     value = checks.between("mass", mass, hint)
     return 0.5 - value / 2, 0.5 + value / 2
 

@@ -155,8 +155,8 @@ def read_trials(
         hint = "give natural-log units per unit of the column"
         log_unit = checks.number("log_unit", log_unit, hint)
         checks.positive("log_unit", log_unit, hint)
-    wanted = NAMES + tuple((columns or {}).values())
-    loaded = load_table(source, names=wanted, text_encoding=text_encoding)
+    to_read = NAMES + tuple((columns or {}).values())
+    loaded = load_table(source, names=to_read, text_encoding=text_encoding)
     raw, name = loaded.frame, loaded.name
     if not len(raw):
         raise Refusal(

@@ -15,7 +15,7 @@ from .. import commands as opt
 from .._util import checks
 from .._util.campaign import all_cores
 from .._util.output import Run, atomic_write
-from .._util.refusals import Refusal
+from .._util.refusals import Advice, Refusal
 from .._util.values import counted, pd
 from . import numbers
 
@@ -180,8 +180,8 @@ def _summary(plan: Plan) -> str:
         offsets, times = offsets_in_words(row), ", ".join(map(str, sorted(set(n))))
         lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
     lines += [plan.power_in_words()] * bool(plan.power_in_words())
-    lines += ["Assumed:", *(f"  {line}" for line in assumptions(plan))]
-    return "\n".join(lines)
+    lines += ["Assumed:", *("  " + line for line in assumptions(plan))]
+    return Advice.joined("\n", lines)
 
 
 @opt.command

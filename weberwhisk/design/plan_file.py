@@ -341,7 +341,7 @@ def notes_of(hypotheses: Sequence[Hypothesis]) -> list[str]:
     """What observers of the hypotheses leave out, a sentence each: a whisker's shape at rest."""
     looks = (look for h in hypotheses for look in getattr(h.encoding, "looks", (h.encoding,)))
     said = (getattr(getattr(look, "observer", None), "note", "") for look in looks)
-    return [f"{words}." for words in dict.fromkeys(said) if words]
+    return [words + "." for words in dict.fromkeys(said) if words]
 
 
 def offsets_in_words(offsets: Sequence[float]) -> str:
