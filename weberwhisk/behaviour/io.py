@@ -344,7 +344,8 @@ def _disagreements(
     """Sentences on columns of our names that give other stimuli than those that were read."""
     if _mapped_form(mapped) is not None or stimuli != FORMS[0]:
         return []
-    table, notes = check.table, []
+    table = check.table
+    notes: list[str] = []
     first, second = (_floats(table[c]) for c in stimuli)
     for name in ("comparison", "log_ratio"):
         if name not in table or (name == "comparison" and "standard" not in table):
