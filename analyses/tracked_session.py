@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from weberwhisk import Outcome, Whisker, press
 from weberwhisk.mechanics import Profile, rest_angle
 from weberwhisk.mechanics.shape import bent_shape
-from weberwhisk.recordings.files import segment
+from weberwhisk.recordings.measures import segment
 from weberwhisk.recordings.trackers import tidy
 
 

@@ -82,7 +82,7 @@ def test_the_real_file() -> None:
     assert long["time_s"].max() == pytest.approx(4 / 500)
     low = long["follicle_x"].min()
     assert len(ww.read_tracking(REAL, shortest_px=200, follicles=(low, 0, low, 1e4))) == 1
-    assert "pixels_per_mm" in table.attrs["notes"][0]
+    assert "pixels_per_mm" in table.attrs["notes"][-1]
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def _slp(poses: Any, path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["sleap", "slp", "dlc", "csv"])
-def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
+def test_poses_that_movement_wrote_are_read(tmp_path: Path, kind: str) -> None:
     load_poses = pytest.importorskip("movement.io.load_poses")
     from movement.io import save_poses
 
@@ -240,10 +240,10 @@ def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
             ww.read_tracking(path)
 
 
-def test_poses_ask_for_movement_where_it_is_not(
+def test_poses_ask_for_what_reads_them_where_it_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "movement.io", None)
+    monkeypatch.setitem(sys.modules, "sleap_io", None)
     path = tmp_path / "poses.slp"
     path.write_bytes(b"\x89HDF\r\n")
     with pytest.raises(ModuleNotFoundError, match=r"weberwhisk\[tracking\]"):

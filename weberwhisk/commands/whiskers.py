@@ -218,8 +218,13 @@ def locate(
     clamped: Annotated[bool, "The base does not give way.", _SENSOR] = False,
     pixels_per_mm: Annotated[opt.Number, "Its scale.", _VIDEO] = None,
     frame_rate: Annotated[opt.Number, "A second.", _VIDEO] = None,
-    label: Annotated[int | None, "Which of several tracked whiskers.", _VIDEO] = None,
+    label: Annotated[
+        opt.Text, "Which of several tracked whiskers, by name or number.",
+        {"metavar": "WHISKER", **_VIDEO},
+    ] = None,
     shortest_px: Annotated[float, "Shorter ones are fur.", _VIDEO] = 0.0,
+    follicles: Annotated[opt.Texts, "Box of the follicles: x, y, x, y.", _VIDEO] = None,
+    likelihood: Annotated[float, "Less likely keypoints are left out.", _VIDEO] = 0.6,
     face: Annotated[opt.Text, "Where the face is: left, right, top or bottom.", _VIDEO] = None,
     pole_px: Annotated[opt.Texts, "The pole: x, y.", _VIDEO] = None,
     out: Path | None = None,
@@ -229,9 +234,9 @@ def locate(
 
     Columns are called moment, axial_force, transverse_force, deflection_angle, moment_rate,
     angular_velocity, with the unit behind (moment_uNm), or as --column says. The stiffness is
-    unknown unless --youngs-modulus-gpa is given. Of a tracker's file (.whiskers, .hdf5, .nwb, or
-    with --pixels-per-mm a table of points) the forces follow from the shape of the whisker. With
-    --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located.
+    unknown unless --youngs-modulus-gpa is given. Of a tracker's file (.whiskers, .hdf5, .slp,
+    .nwb, or with --pixels-per-mm a .csv or .parquet) the forces follow from the shape of the
+    whisker. With --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located.
     """
     options = opt.as_asked(locals())
     table_or_path: Any = contacts
@@ -250,7 +255,8 @@ def locate(
         if pixels_per_mm is not None or contacts.suffix.lower() in (*TRACKERS, ".nwb"):
             video = ww.read_tracking(
                 contacts, shortest_px=shortest_px, face=face, pixels_per_mm=pixels_per_mm,
-                frame_rate=frame_rate,
+                frame_rate=frame_rate, likelihood=likelihood,
+                follicles=numbers("--follicles", follicles) if follicles else None,
             )  # fmt: skip
             pole = numbers("--pole-px", pole_px) if pole_px else None
             table_or_path = ww.tracked_signals(video, whisker, identity=label, pole=pole)

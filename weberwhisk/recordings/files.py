@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,13 @@ import pandas as pd
 
 from .._util import checks
 from .._util.refusals import Refusal, argument, call
-from .._util.values import Array, counted
+from .measures import segment
+from .poses import is_deeplabcut
 from .tables import load_table
 
 #: Suffixes of files that only trackers write.
 TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".slp")
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan"
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
 
@@ -50,6 +53,10 @@ def measurements(path: Path) -> pd.DataFrame:
     table = pd.DataFrame({name: values[:, i].copy() for i, name in enumerate(names)})
     for i, name in ((1, "frame"), (2, "whisker"), (3, "label")):
         table[name] = head[:, i]
+    if body // n - 16 * m > 40:  # the first version does not say which way the face is
+        axis = np.frombuffer(data, "S1", len(data) - 16, 16).reshape(n, -1)[::-1, 40]
+        table["from_y"] = np.select([np.isin(axis, [b"y", b"v"]), np.isin(axis, [b"x", b"h"])],
+                                    [1.0, 0.0], np.nan)  # fmt: skip
     return table
 
 
@@ -85,44 +92,11 @@ def whiskers(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def segment(*axes: Array) -> dict[str, Any]:
-    """Columns of a segment whose points run from follicle to tip: x, y and perhaps z."""
-    x, y = axes[:2]
-    return {
-        **dict(zip("xyz", axes, strict=False)), "follicle_x": x[0], "follicle_y": y[0],
-        "tip_x": x[-1], "tip_y": y[-1],
-        "length_px": float(np.linalg.norm(np.diff(axes), axis=0).sum()),
-    }  # fmt: skip
-
-
-def angle_and_curvature(x: Any, y: Any) -> tuple[float, float]:
-    """Direction at the first of n points (degrees from +x to +y) and mean curvature (1/px).
-
-    From a least-squares parabola in arc length; NaN for fewer than three points.
-    """
-    z = np.asarray(x) + 1j * np.asarray(y)
-    if len(z) < 3:
-        return np.nan, np.nan
-    arc = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
-    bend, start, _ = np.polyfit(arc, z, 2, full=True)[0]  # full: no warning if points coincide
-    turn = np.angle(1 + 2 * bend * arc[-1] / start)
-    return float(np.degrees(np.angle(start))), float(turn / arc[-1])
-
-
-def _runs_to_and_fro(axes: Array) -> bool:
-    """Whether the path through means of eighths of points (D, n) is twice their extent."""
-    parts = np.array_split(axes, min(8, axes.shape[1]), axis=1)
-    means = np.array([part.mean(axis=1) for part in parts])
-    way = np.linalg.norm(np.diff(means, axis=0), axis=1).sum()
-    return bool(way > 2 * np.linalg.norm(means[:, None] - means, axis=2).max())
-
-
-def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
-    """WhiskiWrap's `summary`, the first table of ndx-whisk in an NWB file, or poses."""
+def hdf5(path: Path, notes: list[str]) -> pd.DataFrame:
+    """WhiskiWrap's `summary`, or the first table of ndx-whisk in an NWB file."""
     import h5py
 
     found: dict[str, dict[str, Any]] = {}
-    software = ""
 
     def look(name: str, item: Any) -> None:
         if isinstance(item, h5py.Group) and {"frame_id", "whisker_id"} <= set(item):
@@ -142,16 +116,10 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
                     if isinstance(pixels, h5py.Dataset) and len(pixels) == len(rows):
                         own[axis] = list(pixels[:])
                 found["summary"] = own
-            elif "tracks" in file or "track_occupancy" in file:
-                software = "sleap"
-            elif "df_with_missing" in file:
-                software = "deeplabcut"
             else:
                 file.visititems(look)
     except Exception as error:  # whatever h5py makes of a damaged file
         raise Refusal(f"{path.name}: not readable as HDF5", remedy="copy the file again") from error
-    if software:
-        return segments(poses(path, software), path, likelihood, notes)
     if not found:
         raise Refusal(
             f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable",
@@ -165,104 +133,50 @@ def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def points(path: Path) -> pd.DataFrame:
-    """One row per point: poses of a DeepLabCut CSV (header row `coords`), or a table of points."""
-    raw = load_table(path, "point").frame
-    if raw.shape[1] > 3 and "coords" in raw.iloc[:3, 0].astype(str).tolist():
-        return poses(path, "dlc")
-    if {"frame", "x", "y"} <= set(raw.columns):
+def poses_of(path: Path) -> str:
+    """The software that wrote the poses of an HDF5 file, "" where it holds none."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if "tracks" in file or "track_occupancy" in file:
+                return "SLEAP"
+            return "DeepLabCut" if any("block0_values" in file[name] for name in file
+                                       if isinstance(file[name], h5py.Group)) else ""  # fmt: skip
+    except Exception:  # whatever h5py makes of a damaged file: `hdf5` says so
+        return ""
+
+
+def table(path: Path, notes: list[str]) -> pd.DataFrame:
+    """A table of text or Parquet: DeepLabCut's, WhiskiWrap's with a whisker a row, or points."""
+    read = load_table(path, "point", names=("frame", "scorer", "fid", "x"))
+    notes.extend(read.notes)
+    raw = read.frame
+    names = set(raw.columns)
+    if is_deeplabcut(raw) or {"frame", "x", "y"} <= names or is_of_whiskers(raw):
         return raw
     raise Refusal(
         f"{path.name}: no tracker's file that is known, and no table of points with the "
-        "columns frame, x and y",
+        f"columns frame, x and y",
         remedy=f"it has {checks.listed(map(str, raw.columns), 6)}",
     )
 
 
-def poses(path: Path, software: str) -> pd.DataFrame:
-    """Poses read by movement: individuals are whiskers, keypoints run from follicle to tip."""
-    try:
-        from movement.io import load_poses
-    except ImportError as error:
-        raise ModuleNotFoundError(
-            f"{path.name}: poses of this kind are read by movement, which is not installed; write "
-            'pip install "weberwhisk[tracking]".'
-        ) from error
-    try:
-        load = load_poses.from_sleap_file if software == "sleap" else load_poses.from_dlc_file
-        read = load(path)
-        places = read["position"]
-        order = {str(name)[:4]: name for name in places.dims}  # plural in some versions
-        places = places.transpose(*(order[n] for n in ("time", "indi", "keyp", "spac")))
-    except Exception as error:  # whatever movement and what it reads by make of a damaged file
-        raise Refusal(
-            f"{path.name}: movement does not read it ({str(error).splitlines()[0][:80]})",
-            remedy="give a file of poses",
-        ) from error
-    n, whiskers, keypoints, axes = places.shape
-    at = np.indices((n, whiskers, keypoints)).reshape(3, -1)
-    out = pd.DataFrame({"frame": at[0], "whisker": at[1]})
-    for i, name in enumerate("xyz"[:axes]):
-        out[name] = np.asarray(places, dtype=float)[..., i].ravel()
-    if "confidence" in read:
-        sure = read["confidence"].transpose(*places.dims[:3])
-        out["likelihood"] = np.asarray(sure, dtype=float).ravel()
-    return out
+def is_of_whiskers(table: pd.DataFrame) -> bool:
+    """Whether a table has a whisker in each row, as WhiskiWrap's and ndx-whisk's."""
+    names = set(table.columns)
+    numbered = {"fid", "frame_id", "frame"} & names and {"wid", "whisker_id", "whisker"} & names
+    return bool(numbered and {"follicle_x", "fol_x", "pixels_x"} & names)
 
 
-def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
-    """One row per whisker and frame, from one row per point."""
-    axes = ["x", "y", *(["z"] if "z" in points else [])]
-    keys = ["frame", *(["whisker"] if "whisker" in points else [])]
-    sure = ["likelihood"] if "likelihood" in points else []
-    points = points[[*keys, *axes, *sure]].copy()
-    named = points[keys[-1]].dropna().astype(str).str.strip()
-    named = named[named != ""]
-    if len(keys) > 1 and pd.to_numeric(named, errors="coerce").isna().any():
-        numbers, known_as = pd.factorize(named, sort=True)
-        points["whisker"] = pd.Series(numbers, named.index)
-        said = ", ".join(f"{name} is {i}" for i, name in enumerate(known_as[:8]))
-        notes.append(f"Whiskers were numbered in the order of their names: {said}.")
-    points = points.apply(pd.to_numeric, errors="coerce")
-    known = np.isfinite(points[[*keys, *axes]].to_numpy(dtype=float)).all(axis=1)
-    if sure:
-        doubtful = known & (points["likelihood"] < likelihood).to_numpy()
-        known &= ~doubtful
-        if doubtful.any():
-            count = f"{doubtful.sum()} of {len(points)} points"
-            notes.append(f"{count} less likely than {likelihood:g}: left out.")
-        # Distances are measured from the first keypoint: another must not replace it.
-        seen = pd.Series(known).groupby([points[name].to_numpy() for name in keys])
-        lost = known & ~seen.transform("first").eq(True).to_numpy()
-        if lost.any():
-            known &= ~lost
-            count = counted(len(points[lost].drop_duplicates(keys)), "whisker")
-            notes.append(f"{count} without a likely first keypoint: left out.")
-    if known.sum() < 2:
-        raise Refusal(f"{path.name}: it has no points with numbers in frame, x and y.")
-    points = points[known]
-    for name in keys:
-        if (points[name] % 1 != 0).any():
-            raise Refusal(
-                f"{path.name}: {name} must be whole numbers from 0; is another column in its place?"
-            )
-    rows, wrong = [], 0
-    for key, own in points.groupby(keys, sort=True):
-        if len(own) > 1:
-            wrong += _runs_to_and_fro(own[axes].to_numpy(float).T)
-            score = {"score": float(own["likelihood"].median())} if sure else {}
-            row = {"whisker": 0, **dict(zip(keys, key, strict=True)), **score}
-            row |= {"label": row["whisker"]} if len(keys) > 1 else {}
-            rows.append({**row, **segment(*own[axes].to_numpy(float).T)})
-    if 2 * wrong > len(rows):
-        raise Refusal(
-            f"{path.name}: the points of a whisker run to and fro",
-            remedy=(
-                "give each whisker's once and in order from follicle to tip, and several "
-                "whiskers as individuals or in a column whisker"
-            ),
-        )
-    return pd.DataFrame(rows)
+def point_lists(cells: pd.Series) -> pd.Series:
+    """The numbers in each cell, which text files have as [1.0, 2.0] or [1. 2.]."""
+    out = np.empty(len(cells), dtype=object)
+    for i, cell in enumerate(cells):
+        if isinstance(cell, str):
+            cell = re.findall(_NUMBER, cell)
+        out[i] = np.array(cell, dtype=float) if np.ndim(cell) else np.zeros(0)
+    return pd.Series(out, cells.index)
 
 
 def refuse_tracked(source: Any) -> None:
@@ -283,5 +197,7 @@ def refuse_tracked(source: Any) -> None:
                 ".whiskers, say",
                 remedy=first,
             )
+        if {"fid", "wid"} <= {*source} or "scorer" in source:
+            raise Refusal("The table is of a tracker", remedy=first)
         if {"frame", "x", "y"} <= {*source}:
             raise Refusal("The table holds points of tracked whiskers", remedy=first)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .._util import checks
-from .._util.refusals import Advice, Refusal, argument, call
+from .._util.refusals import Advice, Refusal, argument, call, named
 from .._util.values import Array
 from ..mechanics import Profile
 from ..whisker import Whisker
@@ -56,7 +56,8 @@ def tracked_signals(
     pixels_per_mm, frame_rate : float
         Of the video; by default those given to `read_tracking`.
     identity
-        The whisker, by the table's `label`, or by `whisker` where nothing is labelled.
+        The whisker, by the table's `name`; by `label` where none is named, by `whisker` where
+        none is labelled.
     pole : (x, y) or array (rows, 2), optional
         Centre of a pole of radius `pole_radius_px`, or with radius 0 the contact itself, in pixels
         (x, y, z for points in space); one row per row of `tracking` if it moves. By default the
@@ -116,6 +117,13 @@ def tracked_signals(
     for name, value in (("pole_radius_px", pole_radius_px), ("friction_sd", friction_sd)):
         checks.non_negative_number(name, value, "give 0 for none")
     pole_sd_px = checks.positive_number("pole_sd_px", pole_sd_px, "give pixels, 0.5 say")
+    friction_angle = checks.number("friction_angle", friction_angle, "give radians, 0 for none")
+    if abs(friction_angle) > np.pi / 6 + 1e-12:
+        raise Refusal(
+            named("friction_angle") + " must be up to 30° either way",
+            f"{friction_angle:g} rad",
+            f"write radians, such as np.radians({friction_angle:g}) of degrees",
+        )
     if not 0 < checks.positive_number("false_alarms", false_alarms, "give 0.001, say") < 1:
         raise Refusal("false_alarms must be below 1", f"{false_alarms:g}", "write 0.001, say")
     length = float(profile.whisker.length)
@@ -210,32 +218,38 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
             remedy="measurements alone do not say the shape",
         )
     by = identified_by(tracking)
-    known = sorted(tracking[by].unique().tolist())
-    if identity is None and len(known) > 1 and tracking["frame"].duplicated().any():
+    every = tracking
+    whiskers = [value for value in tracking[by].unique().tolist() if value != ""]
+    whiskers = whiskers if by == "name" else sorted(whiskers)
+    if identity is None and len(whiskers) > 1 and tracking["frame"].duplicated().any():
         raise Refusal(
-            f"Several whiskers were tracked ({by} {checks.listed(map(str, known), 6)})",
+            f"Several whiskers were tracked ({by} {checks.listed(map(str, whiskers), 6)})",
             remedy=(
                 "say which with "
-                + argument("identity", known[0], of="tracked_signals")
+                + argument("identity", whiskers[0], of="tracked_signals")
                 + ", or leave out fur with "
                 + call("read_tracking", argument("shortest_px", ...))
             ),
         )
+    if identity is None and by == "name" and len(whiskers) == 1:
+        identity = whiskers[0]
     if identity is not None:
-        identity = next((k for k in known if str(k) == str(identity)), identity)
-        if identity not in known:
+        identity = next((k for k in whiskers if str(k) == str(identity)), identity)
+        if identity not in whiskers:
             raise Refusal(
                 f"There is no {by} {identity!r}",
-                remedy=f"there are {checks.listed(map(str, known), 6)}",
+                remedy=f"there are {checks.listed(map(str, whiskers), 6)}",
             )
         tracking = tracking[tracking[by] == identity]
+        if by == "whisker" and (every["label"] < 0).all():
+            _refuse_exchanged(every, identity)
     twice = tracking.loc[tracking["frame"].duplicated(), "frame"]
     if len(twice):
         raise Refusal(
             f"Frame {twice.iloc[0]} has two rows of one {by}",
             remedy=(
                 "leave out fur with "
-                + call("read_tracking", argument("shortest_px", ...), "follicles=…")
+                + call("read_tracking", argument("shortest_px", ...), argument("follicles", ...))
                 + ", or rows that repeat"
             ),
         )
@@ -243,6 +257,27 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
     if not enough.any():
         raise Refusal("A shape takes six points or more in a frame", remedy="track more points")
     return tracking[enough]
+
+
+def _refuse_exchanged(tracking: pd.DataFrame, whisker: Any) -> None:
+    """Refuse numbers of segments within frames that are not those of one whisker throughout."""
+    ends = tracking[["follicle_x", "follicle_y"]]
+    chosen = tracking["whisker"] == whisker
+    off = np.hypot(*(ends - ends[chosen].median()).to_numpy(dtype=float).T)
+    nearest = pd.Series(off, tracking.index).groupby(tracking["frame"]).transform("min")
+    frames = tracking.loc[chosen, "frame"]
+    several = frames.isin(tracking.loc[~chosen, "frame"]).to_numpy()
+    exchanged = (off > nearest)[chosen] & several
+    if exchanged.sum() > 0.1 * max(several.sum(), 5):
+        raise Refusal(
+            f"Whisker {whisker} is not one whisker throughout: in {int(exchanged.sum())} of "
+            f"{len(frames)} frames another starts nearer to where it usually does",
+            remedy=(
+                "leave out the others by "
+                + call("read_tracking", argument("follicles", ...))
+                + ", the box that it starts in, or track whiskers in the tracker"
+            ),
+        )
 
 
 def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tuple[float, float]:
