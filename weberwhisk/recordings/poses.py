@@ -168,6 +168,11 @@ def sleap_analysis(path: Path, notes: list[str]) -> pd.DataFrame:
             out["likelihood"] = scores.astype(float).ravel()
     except Exception as error:  # whatever h5py makes of a damaged file
         raise _unreadable(path, "SLEAP", error) from error
+    if np.isfinite(places[:1]).any():  # else it was written with the empty frames before
+        notes.append(
+            "The file does not say the number of its first frame: frames are counted from 0, as "
+            "SLEAP writes them with --all-frames; if it left some out, give the .slp."
+        )
     if len(names) == many and names:
         out["name"] = np.array(names, dtype=object)[out["whisker"]]
         return out
