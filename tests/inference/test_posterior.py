@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from mpmath import mp
 from numpy.polynomial.legendre import leggauss
+from scipy import stats
 from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.receptors import Weber
+from weberwhisk.receptors import Afferents, SpikeCount, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 
@@ -221,6 +222,68 @@ def test_to_arviz_has_draws_of_the_posterior(arviz, method):
     assert draws.std() == pytest.approx(p.sd, rel=0.2)
     assert float(np.max(arviz.rhat(np.asarray(draws)))) < 1.1
     assert "moment" in data.observed_data
+
+
+def test_arviz_data_of_many_readings_share_a_dimension_and_say_their_units(arviz, tmp_path):
+    observer = ww.Observer(W, ForceMap(), Weber(0.05))
+    readings = observer.read([[30e-3, 0.15], [20e-3, 0.2], [40e-3, 0.1]], seed=1)
+    p = ww.posterior(observer, readings)
+    path = str(tmp_path / "many.nc")
+    p.to_arviz(draws=50).to_netcdf(path)
+    data = arviz.from_netcdf(path)
+    assert set(data["posterior"].sizes) == {"chain", "draw", "reading"}
+    assert dict(data["observed_data"].sizes) == {"reading": 3}
+    groups = {
+        "posterior": {"radial_distance": "m", "deflection_angle": "rad"},
+        "observed_data": {"moment": "N m", "axial_force": "N"},
+    }
+    for group, units in groups.items():
+        for name, unit in units.items():
+            assert data[group][name].attrs["units"] == unit
+    np.testing.assert_array_equal(data["observed_data"]["moment"], readings[:, 0])
+    assert "log_likelihood" not in data
+    assert "log_likelihood" in p.to_arviz(draws=5, log_likelihood=True)
+    if hasattr(data, "close"):
+        data.close()
+
+
+def test_arviz_says_how_far_prior_and_reading_move_a_distance(arviz):
+    near = stats.norm(28e-3, 1e-3)  # narrower than the likelihood, and beside it
+    observer = ww.Observer(W, Compliance(), Weber(0.1), prior={"radial_distance": near})
+    reading = observer.read([31e-3], seed=1)
+    data = ww.posterior(observer, reading).to_arviz(draws=1000)
+    drawn = data["posterior"]["radial_distance"].to_numpy()
+    np.testing.assert_allclose(data["log_prior"]["radial_distance"], near.logpdf(drawn))
+    direct = observer.log_likelihood(reading, drawn[..., None])
+    np.testing.assert_allclose(data["log_likelihood"]["contact"], direct)
+
+    def sensitivity(data, to):
+        if arviz.__version__.startswith("0."):
+            return float(arviz.psens(data, component=to)["radial_distance"])
+        return float(arviz.psense(data, group=to)["radial_distance"])
+
+    assert sensitivity(data, "prior") > 0.05
+    flat = ww.posterior(ww.Observer(W, Compliance(), Weber(0.1)), reading).to_arviz(draws=1000)
+    assert "log_prior" not in flat
+    assert sensitivity(flat, "likelihood") > 0.05
+
+
+def test_counts_of_spikes_are_integers_and_a_missing_reading_has_no_likelihood():
+    observer = ww.Observer(W, Compliance(), SpikeCount(Afferents(75, 1e-8, 1e-5)))
+    p = ww.posterior(observer, observer.read([[30e-3]], seed=1))
+    assert p.to_arviz(draws=5)["observed_data"]["reading_0"].dtype == np.int64
+    seen = ww.Observer(W, Compliance(), Weber(0.1))
+    lost = ww.posterior(seen, np.array([[np.nan], [1e-4]])).to_arviz(draws=5, log_likelihood=True)
+    missing = np.isnan(lost["log_likelihood"]["contact"].to_numpy())
+    assert missing[..., 0].all()
+    assert not missing[..., 1].any()
+
+
+@pytest.mark.parametrize("draws", [0, -3, 2.5, "many"])
+def test_draws_for_arviz_are_a_whole_number(draws):
+    observer = ww.Observer(W, Compliance(), Weber(0.1))
+    with pytest.raises(ValueError, match="draws must be a whole number"):
+        ww.posterior(observer, [1e-4]).to_arviz(draws=draws)
 
 
 @pytest.mark.parametrize(

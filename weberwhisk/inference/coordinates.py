@@ -7,6 +7,7 @@ are no bounds: `constrain` carries x to the contact, `unconstrain` back.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,6 +30,25 @@ UNITS = {
     "azimuth": "rad", "friction_angle": "rad", "surface_tilt": "rad", "angular_velocity": "rad/s",
     "curvature_offset": "1/m", "hinge_stiffness": "N m/rad", "roll": "rad",
 }  # fmt: skip
+
+#: Of signals, by the end or beginning of their names; the first that fits.
+_SIGNAL_UNITS = (
+    (r"_(angle|direction)$|^azimuth", "rad"), (r"^angular_velocity", "rad/s"),
+    (r"^moment_rate", "N m/s"), (r"^moment|_amplitude$", "N m"), (r"force", "N"),
+)  # fmt: skip
+
+
+def signal_unit(name: str) -> str:
+    """The unit of a signal of a cue; "1" for a ratio, a probability or a count.
+
+    Examples
+    --------
+    >>> signal_unit("moment_2"), signal_unit("force_direction"), signal_unit("mode_2_ratio")
+    ('N m', 'rad', '1')
+    """
+    plain = re.sub(r"_\d+$", "", name)  # of several with one name
+    return next((unit for form, unit in _SIGNAL_UNITS if re.search(form, plain)), "1")
+
 
 #: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.
 FARTHEST = 5.0

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._util.checks import between, finite, one_of
+from .._util.checks import between, finite, one_of, whole
 from .._util.refusals import Refusal
-from .._util.sampling import ArvizData, to_arviz
+from .._util.sampling import ArvizData, integers, to_arviz
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
-from .coordinates import UNITS, ContactCoordinates, from_normal
+from .coordinates import UNITS, ContactCoordinates, from_normal, signal_unit
 from .observer import Observer
 
 __all__ = [
@@ -148,9 +148,7 @@ class Posterior(Shown):
     solution: AtReadings
 
     @classmethod
-    def of(
-        cls, observer: Observer, reading: Array, method: str, solution: AtReadings
-    ) -> Posterior:
+    def of(cls, observer: Observer, reading: Array, method: str, solution: AtReadings) -> Posterior:
         """With a leading axis where there are many readings, and none where there is one."""
         i = 0 if reading.ndim == 1 else slice(None)
         estimates = {
@@ -302,30 +300,90 @@ class Posterior(Shown):
             parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
         return f"{', '.join(parts)}, by {self.method}; {self.status.message}{note}"
 
-    def to_arviz(self, *, draws: int = 1000, seed: Seed = 1) -> ArvizData:
+    def to_arviz(
+        self, *, draws: int = 1000, seed: Seed = 1, log_likelihood: bool | None = None
+    ) -> ArvizData:
         """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).
 
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;
-        quadrature and Laplace are drawn from with `seed`. Many readings add a dimension.
+        quadrature and Laplace are drawn from with `seed`, `draws` in each of four chains. Many
+        readings share the dimension `reading`, and each is a posterior of its own: choose one,
+        ``data.sel(reading=0)``, for LOO or prior sensitivity.
+
+        Parameters
+        ----------
+        draws : int
+            Of each chain.
+        seed
+            Of the draws.
+        log_likelihood : bool, optional
+            Whether to add that of the reading at each draw, which takes a solution of the whisker
+            a draw: by default that of one reading alone. `log_prior` has the log density of the
+            priors that were given; where all are flat there is none to be sensitive to.
+
+        Examples
+        --------
+        >>> from weberwhisk import Observer, Whisker, cues, posterior, receptors
+        >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
+        >>> observer = Observer(whisker, cues.Compliance(), receptors.Weber(0.1))
+        >>> many = posterior(observer, observer.read([[20e-3], [30e-3]], seed=1))
+        >>> drawn = many.to_arviz(draws=100)["posterior"]["radial_distance"]
+        >>> drawn.dims, drawn.attrs["units"]
+        (('chain', 'draw', 'reading'), 'm')
         """
+        whole("draws", draws, "write 1000, say")
         values = self.solution.draws(draws, seed)
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
-        if self.reading.ndim == 1:
-            values = values[:, :, 0]
-        names = self.observer.cue.signal_names
+        observer, many = self.observer, self.reading.ndim > 1
+        with_likelihood = not many if log_likelihood is None else log_likelihood
+        likelihood = self._log_likelihood(values) if with_likelihood else None
+        values = values if many else values[:, :, 0]
+        names = observer.cue.signal_names
         if len(names) != self.reading.shape[-1]:  # counts or reports, not signals
             names = tuple(f"reading_{i}" for i in range(self.reading.shape[-1]))
+        unknowns = {name: values[..., i] for i, name in enumerate(observer.unknowns)}
         return to_arviz(
-            {name: values[..., i] for i, name in enumerate(self.observer.unknowns)},
-            observed_data={name: self.reading[..., i] for i, name in enumerate(names)},
+            unknowns,
+            log_prior={
+                name: observer.prior[name].logpdf(value)
+                for name, value in unknowns.items()
+                if name in observer.prior
+            }
+            or None,
+            log_likelihood=None if likelihood is None else {"contact": likelihood},
+            observed_data={name: self._observed(i) for i, name in enumerate(names)},
+            coords={"reading": np.arange(len(self.reading))} if many else None,
+            dims={key: ("reading",) for key in (*unknowns, *names, "contact")} if many else None,
             attrs={
                 "method": self.method,
-                "observer": repr(self.observer),
+                "observer": repr(observer),
                 "status": "; ".join(
                     sorted({Status(int(s)).message for s in np.atleast_1d(self.status)})
                 ),
             },
+            units={name: UNITS.get(name, "1") for name in unknowns}
+            | {name: signal_unit(name) for name in names},
         )
+
+    def _log_likelihood(self, contact: Array) -> Array:
+        """ln p(reading | contact) at draws (chain, draw, B, U); without B for one reading."""
+        rows = self.reading.reshape(contact.shape[2], -1)
+        out = np.full(contact.shape[:3], np.nan)
+        for i, reading in enumerate(rows):
+            if not np.isfinite(contact[:, :, i]).all():  # not a reading
+                continue
+            value = self.observer.log_likelihood(reading, contact[:, :, i])
+            # A draw between two nodes may lie just beyond a fold, where no contact is held.
+            held = np.isfinite(value)
+            out[:, :, i] = np.where(held, value, value[held].min(initial=0.0))
+        return out if self.reading.ndim > 1 else out[:, :, 0]
+
+    def _observed(self, i: int) -> NDArray[Any]:
+        """One number of the reading: of counts and reports, integers."""
+        values = self.reading[..., i]
+        if self.observer.noise.reads_signals or not np.array_equal(values, np.rint(values)):
+            return values
+        return integers(values)
 
 
 def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Estimate]) -> Flags:
