@@ -227,8 +227,8 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
             remedy=(
                 "say which with "
                 + argument("identity", whiskers[0], of="tracked_signals")
-                + ", or leave out fur with "
-                + call("read_tracking", argument("shortest_px", ...))
+                + ", or leave out the others with "
+                + call("read_tracking", argument("shortest_px", ...), argument("follicles", ...))
             ),
         )
     if identity is None and by == "name" and len(whiskers) == 1:
