@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.commands import experiments
+from weberwhisk.commands import plans as commands
 from weberwhisk.design import (
     Evidence,
     Goal,
@@ -123,12 +123,12 @@ def test_the_question_decides_hypotheses_and_goal() -> None:
 
 def test_a_terminal_is_asked_for_the_question(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    assert experiments._asked() is None
+    assert commands._question_asked() is None
     monkeypatch.setattr(sys, "stdin", Terminal("2\n"))
     monkeypatch.setattr(sys, "stderr", shown := Terminal())
     monkeypatch.setattr("typer.prompt", lambda *words, **options: "2")
-    assert experiments._asked() == "weber-law"
+    assert commands._question_asked() == "weber-law"
     assert "--question precision" in shown.getvalue()
     monkeypatch.setattr("typer.prompt", lambda *words, **options: "4")
     with pytest.raises(ValueError, match="the answer"):
-        experiments._asked()
+        commands._question_asked()

@@ -168,7 +168,7 @@ def test_the_command_killed_outright_goes_on(tmp_path: Path) -> None:
     [
         (["next", "--identity", "C2"], "--standard-mm says what is compared with"),
         (["next", "--standard-mm", "20"], "--standard says what is compared with"),
-        (["next", "--standard", "20", "--goal", "taper"], "--goal taper tells a tapered whisker"),
+        (["next", "--standard", "20", "--goal", "taper"], "--goal taper discriminates a tapered"),
         (["next", "--standard", "20", "--goal", "best"], "--goal 'best' is unknown"),
         ([*OPTIONS, "--farthest", "15"], "standard 20 is left without comparisons on both sides"),
         ([*OPTIONS, "--easy-share", "2"], "--easy-share must lie between 0 and 1"),
