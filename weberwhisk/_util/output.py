@@ -125,12 +125,12 @@ def locked(path: Path, seconds: float = -1.0) -> Iterator[None]:
                 path.unlink()
 
 
-def to_json(value: Any) -> str:
+def to_json(value: Any, *, escaped: bool = False) -> str:
     """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
 
-    See `plain`.
+    See `plain`. `escaped` is in ASCII, which a file of any encoding can hold.
     """
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(plain(value), indent=2, ensure_ascii=escaped, allow_nan=False)
 
 
 def plain(value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
+from .._util.output import to_json
 from .._util.refusals import Refusal, argument, named
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
@@ -104,7 +104,7 @@ class WeberFit(Estimates):
 
     def to_json(self) -> str:
         """`to_dict()` as JSON; an unreachable threshold is null."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+        return to_json(self.to_dict(), escaped=True)
 
     def to_arviz(self) -> ArvizData:
         """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data.
