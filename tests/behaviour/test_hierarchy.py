@@ -25,7 +25,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.bulk import of_fraction
-from weberwhisk.behaviour.population_fit import integrate_population
+from weberwhisk.behaviour.population import integrate_population
 
 Array = NDArray[np.float64]
 

@@ -1,14 +1,8 @@
-"""Many animals at once, learnt from one another: the fit, what is read off it, and its integral.
-
-Lapses and biases of each animal are integrated out first, which leaves a likelihood of its ln k.
-Given the mean and the sd of the population these are independent, so that the whole posterior is a
-sum over two axes.
-"""
+"""Many animals at once, learnt from one another: the fit, and what is read off it."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, ClassVar
@@ -16,13 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import binary_dilation
-from scipy.special import bdtrc, ndtr
+from scipy.special import bdtrc
 
 from .._util import checks
 from .._util.campaign import one_blas_thread
-from .._util.output import plain
+from .._util.output import plain, to_json
 from .._util.refusals import Advice, Refusal, argument
 from .._util.sampling import ArvizData, to_arviz
 from .._util.values import (
@@ -34,22 +26,19 @@ from .._util.values import (
     methods_text,
     weighted_quantiles,
 )
-from .._util.weights import log_error
 from ..inference.coordinates import in_words
 from .bulk import of_fraction
 from .estimates import tails
 from .fit import WeberFit, fit_weber
 from .likelihood import encoding_of, pairs_shown
+from .population import Population, integrate_population, trapezoid_shares
 from .predictive import FALSE_ALARMS
 from .priors import SPREAD, Priors, check_distribution, priors_for
 from .report import encoding_in_words, engine_in_words, priors_in_words, sentence
 from .trials import Trials, check_trials
 from .verdict import FitStatus
 
-__all__ = [
-    "LEFT_OUT", "Population", "PopulationFit", "PopulationStatus", "fit_population",
-    "integrate_population", "log_product", "normal_weights",
-]  # fmt: skip
+__all__ = ["LEFT_OUT", "PopulationFit", "PopulationStatus", "fit_population"]
 
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 
@@ -212,7 +201,7 @@ class PopulationFit(Shown):
 
     def to_json(self) -> str:
         """`to_dict()` as JSON."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+        return to_json(self.to_dict(), escaped=True)
 
     def to_arviz(self, draws: int = 1000) -> ArvizData:
         """ArviZ data (0.23 or 1.x) of independent draws, in four chains of `draws`.
@@ -412,176 +401,3 @@ def _status(found: Population, prior: Any, animals: int, of_prior: float = 0.8) 
     if sd > of_prior * float(prior.std()):
         return PopulationStatus.SPREAD_UNINFORMED
     return PopulationStatus.DETERMINED
-
-
-Likelihood = tuple[Array, Array]  # nodes of ln k (K,), and the log-likelihood of one animal there
-
-
-def normal_weights(x: Array, mean: Array, sd: Array) -> Array:
-    """Probability of each even node x (X,) under normals, (X, ...).
-
-    The end nodes stand for all beyond them, where a likelihood goes on as it was: populations out
-    there are unlikely by their prior, and not impossible.
-    """
-    half = 0.5 * (x[1] - x[0])
-    away = x.reshape(-1, *[1] * np.ndim(mean)) - mean
-    below = -np.abs(away)  # a tail that is not lost to rounding
-    out = ndtr((below + half) / sd) - ndtr((below - half) / sd)
-    out[0], out[-1] = ndtr((away[0] + half) / sd), ndtr((half - away[-1]) / sd)
-    return np.asarray(out)
-
-
-def narrowest(sd: Array, step: float) -> Array:
-    """Sds of normals on nodes that far apart: one narrower than the nodes is as wide as they are, a
-    fifth of what any animal says."""
-    return np.maximum(sd, 0.8 * step)
-
-
-def trapezoid_shares(count: int) -> Array:
-    """Weights of even nodes in the trapezoid rule, in steps (count,)."""
-    return np.r_[0.5, np.ones(count - 2), 0.5]
-
-
-def log_product(log_like: Array, weights: Array) -> Array:
-    """ln of likelihoods (..., X) averaged with each column of weights (X, N), (..., N)."""
-    top = log_like.max(axis=-1, keepdims=True)
-    return np.asarray(np.log(np.maximum(np.exp(log_like - top) @ weights, 1e-300)) + top)
-
-
-@dataclass(frozen=True)
-class Population:
-    """The posterior of a population on nodes, and of ln k of its animals.
-
-    `mass` (M, T) is the probability of each node: `mean` (M, T) of ln k, and its sd, the `spread`
-    (T,). `animals` (A, X) are the probabilities of ln k of each animal on the nodes `log_k`, given
-    all the data, and `log_likelihood` (A, X) what its own choices say. Between nodes the density is
-    linear.
-    """
-
-    mean: Array
-    spread: Array
-    mass: Array
-    log_k: Array
-    animals: Array
-    log_likelihood: Array
-    log_evidence: float
-    error: float
-
-    def nodes(self, parameter: str) -> tuple[Array, Array]:
-        """Values of "weber_fraction" or "spread" and their probabilities, flat."""
-        if parameter == "spread":
-            return self.spread, self.mass.sum(axis=0)
-        return np.exp(self.mean).ravel(), self.mass.ravel()
-
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Joint draws of both parameters, each (count,): nodes, moved within their cells."""
-        at = rng.choice(self.mass.size, count, p=self.mass.ravel())
-        places = []
-        for i, n in zip(np.unravel_index(at, self.mass.shape), self.mass.shape, strict=True):
-            moved = np.abs(i + rng.random(count) - rng.random(count))  # for a spread of 0 exact
-            places.append(np.minimum(moved, n - 1 - 1e-9))
-        (m, t), (dm, dt) = [p.astype(int) for p in places], [p % 1 for p in places]
-        spread = self.spread[t] + dt * (self.spread[t + 1] - self.spread[t])
-        low, high = (self.mean[m, t + j] * (1 - dm) + self.mean[m + 1, t + j] * dm for j in (0, 1))
-        return {"weber_fraction": np.exp(low + dt * (high - low)), "spread": spread}
-
-    def given(
-        self, log_mean: Array, spread: Array, rng: np.random.Generator
-    ) -> tuple[Array, Array]:
-        """Of each animal in populations (N,): log-likelihood of its choices, and a draw of its ln
-        k, (A, N)."""
-        step = self.log_k[1] - self.log_k[0]
-        kernel = normal_weights(self.log_k, log_mean, narrowest(spread, step))  # (X, N)
-        shared = np.exp(self.log_likelihood - self.log_likelihood.max(axis=1, keepdims=True))
-        drawn = np.empty((len(shared), log_mean.size))
-        for row, likelihood in zip(drawn, shared, strict=True):
-            below = np.cumsum(likelihood[:, None] * kernel, axis=0)
-            node = (below < rng.random(log_mean.size) * below[-1]).sum(axis=0)
-            moved = rng.random(log_mean.size) - rng.random(log_mean.size)
-            row[:] = self.log_k[node] + step * moved
-        return log_product(self.log_likelihood, kernel), drawn
-
-
-def integrate_population(
-    animals: Sequence[Likelihood], log_prior: Callable[[Array], Array], spread: Any
-) -> Population:
-    """The posterior of a population of animals.
-
-    Parameters
-    ----------
-    animals : sequence of (ln k, log-likelihood)
-    log_prior : callable
-        Log prior density of the mean of ln k.
-    spread : frozen distribution
-        Prior of its sd between animals.
-    """
-    mean, sd, core = np.array([_moments(*one) for one in animals]).T
-    # Spreads are distinguished from 0.1 on, however little the animals say.
-    step = min(float(core.min()) / 4, 0.15)
-    first, last = min(k[0] for k, _ in animals), max(k[-1] for k, _ in animals)
-    x = np.arange(first - 0.5, last + 0.5, step)
-    log_like = np.array([_onto(x, *one) for one in animals])
-    bounds = [(-12.0, 12.0), (float(spread.support()[0]), float(spread.ppf(1 - 1e-6)))]
-    ranges = bounds
-    for count in (25, 25, 25, 81):
-        place, tau = (np.linspace(*ends, count) for ends in ranges)
-        # The mean in its sds from its middle, given the spread, as if likelihoods were normal.
-        weight = 1 / (sd[:, None] ** 2 + tau**2)  # (A, T)
-        width = 1 / np.sqrt(weight.sum(axis=0))
-        mu = width**2 * (weight * mean[:, None]).sum(axis=0) + width * place[:, None]
-        kernel = normal_weights(x, mu, narrowest(tau, step)).reshape(x.size, -1)
-        by_animal = log_product(log_like, kernel)  # (A, M·T)
-        with np.errstate(divide="ignore"):
-            log_mass = by_animal.sum(axis=0).reshape(mu.shape) + log_prior(mu) + spread.logpdf(tau)
-            # Half at either end, the trapezoid rule: exact at a spread of 0.
-            log_mass += np.log(width * np.outer(*map(trapezoid_shares, mu.shape)))
-        top = float(log_mass.max())
-        mass = np.exp(log_mass - top)
-        ranges = [
-            _narrowed(mass.sum(axis=1 - i), axis, ends)
-            for i, (axis, ends) in enumerate(zip((place, tau), bounds, strict=True))
-        ]
-    total = mass.sum()
-    mass /= total
-    cell = (place[1] - place[0]) * (tau[1] - tau[0])
-    error = max(log_error(mass.sum(axis=i)) ** 2 for i in (0, 1))
-    # Where a prior ends between two nodes, half a cell beside each may be misjudged.
-    possible = np.isfinite(log_mass)
-    error = max(error, 0.5 * float(mass[possible & binary_dilation(~possible)].sum()))
-    # What the others say of an animal: every population by how it fares without it.
-    flat = mass.ravel()
-    low = by_animal.min(axis=1, keepdims=True, where=flat > 1e-12 * flat.max(), initial=np.inf)
-    of_others = (flat * np.exp(np.minimum(low - by_animal, 0.0))) @ kernel.T
-    found = log_like + np.log(np.maximum(of_others, 1e-300))
-    found = np.exp(found - found.max(axis=1, keepdims=True))
-    found /= found.sum(axis=1, keepdims=True)
-    return Population(mu, tau, mass, x, found, log_like, top + float(np.log(total * cell)), error)
-
-
-def _moments(log_k: Array, log_like: Array) -> tuple[float, ...]:
-    """Mean and sd of ln k in the likelihood of one animal, and the sd that its quartiles have.
-
-    Lapses may explain any answers: the likelihood has a tail that widens its sd.
-    """
-    mass = np.exp(log_like - log_like.max())
-    mass /= mass.sum()
-    mean = float(mass @ log_k)
-    low, high = weighted_quantiles(log_k, mass, [0.25, 0.75])
-    return mean, float(np.sqrt(mass @ (log_k - mean) ** 2)), float(high - low) / 1.35
-
-
-def _onto(x: Array, log_k: Array, log_like: Array) -> Array:
-    """A log-likelihood at other nodes; beyond its own it goes on as it was: flat, or falling."""
-    curve = CubicSpline(log_k, log_like)
-    slopes = curve(log_k[[0, -1]], 1)
-    below, above = np.minimum(x - log_k[0], 0), np.maximum(x - log_k[-1], 0)
-    inside = curve(np.clip(x, log_k[0], log_k[-1]))
-    return np.asarray(inside + below * max(slopes[0], 0.0) + above * min(slopes[1], 0.0))
-
-
-def _narrowed(
-    mass: Array, axis: Array, bounds: tuple[float, float], least: float = 1e-6
-) -> tuple[float, float]:
-    """The part of an axis with at least that share of the peak, a step more on either side."""
-    above, step = axis[mass > least * mass.max()], axis[1] - axis[0]
-    return max(above[0] - step, bounds[0]), min(above[-1] + step, bounds[1])

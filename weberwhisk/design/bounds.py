@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, rel_entr
 
 from .._util.values import Array, density_quantiles
-from ..behaviour.priors import SPREAD
+from ..behaviour.population import spread_nodes
 from .hypotheses import Hypothesis, SubjectPopulation
 from .scheme import Scheme
 
@@ -29,16 +29,14 @@ def least_half_widths(
         size=(runs, animals)
     )
     middle, variance = log_k.mean(axis=1), log_k.var(axis=1)
-    node, weight = np.polynomial.legendre.leggauss(60)
-    end = float(SPREAD.ppf(1 - 1e-4))
-    spread = 0.5 * end * (node + 1)
+    spread, log_spread = spread_nodes(60)
     # As many sds of the mean as the tails of an unknown spread have.
     away = np.sqrt((variance[:, None] + 1e-12) / animals) * np.linspace(-12, 12, 241)
     square = variance[:, None] + 1e-12 + away**2
     # The likelihood of the mean depends on that square alone.
     table = np.geomspace(square.min(), square.max(), 500)
-    log_like = -animals * (np.log(spread) + table[:, None] / (2 * spread**2)) + np.log(weight)
-    log_like = logsumexp(log_like + SPREAD.logpdf(spread), axis=1)
+    log_like = -animals * (np.log(spread) + table[:, None] / (2 * spread**2))
+    log_like = logsumexp(log_like + log_spread, axis=1)
     density = np.interp(np.log(square), np.log(table), log_like)
     density = np.exp(density - density.max(axis=1, keepdims=True))
     mean = middle[:, None] + away

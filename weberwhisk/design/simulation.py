@@ -24,8 +24,8 @@ from ..behaviour.axes import score_prior
 from ..behaviour.bulk import log_sum, marginal
 from ..behaviour.fit import fit_weber
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.population_fit import log_product, normal_weights
-from ..behaviour.priors import SPREAD, Priors
+from ..behaviour.population import PopulationGrid, spread_nodes
+from ..behaviour.priors import Priors
 from ..behaviour.states import States
 from ..behaviour.trials import STIMULI, Trials
 from .goals import Goal
@@ -264,16 +264,12 @@ def populations(
     fine = CubicSpline(log_k, np.maximum(log_like - top, -60.0), axis=-1)(x) + top
     # Given nodes are 2.8 of the least sd of an animal apart: two finer ones are 1.9.
     mean = np.arange(x[0] - 1.0, x[-1] + 1.0, 2.0 * (x[1] - x[0]) / np.sqrt(animals))
-    node, weight = np.polynomial.legendre.leggauss(spreads)
-    half = 0.5 * float(SPREAD.ppf(1 - 1e-4))
-    tau, weight = half * (node + 1), half * weight
-    kernel = normal_weights(x, *np.meshgrid(mean, tau, indexing="ij"))
+    tau, log_spread = spread_nodes(spreads)
     prior = model.priors.log_density("weber_fraction", np.exp(mean)) + mean
-    log_prior = prior[:, None] + np.log(weight) + SPREAD.logpdf(tau)
-    kernel = kernel.reshape(x.size, -1)
+    means, sds = np.meshgrid(mean, tau, indexing="ij")
+    grid = PopulationGrid.at(x, means, sds, prior[:, None] + log_spread)
     out = np.empty((len(log_like), mean.size))
-    size = max(1, int(4e6 / (animals * log_prior.size)))  # experiments whose tables fit the cache
+    size = max(1, int(4e6 / (animals * means.size)))  # experiments whose tables fit the cache
     for i in range(0, len(out), size):
-        total = log_product(fine[i : i + size], kernel).sum(axis=1)
-        out[i : i + size] = log_sum(total.reshape(-1, *log_prior.shape) + log_prior, 2)
+        out[i : i + size] = log_sum(grid.log_mass(grid.by_animal(fine[i : i + size])), 2)
     return mean, out
