@@ -233,7 +233,7 @@ def _options(piece: Typed) -> list[str] | None:
     if values is None:
         return None
     if piece.value is False and spelled.values is _plain:
-        return [f"--no-{spelled.option.replace('_', '-')}"]
+        return [option(f"no_{spelled.option}")]
     each = [values] if isinstance(values, str) else values
     return [f"{option(spelled.option)} {value}".rstrip() for value in each]
 

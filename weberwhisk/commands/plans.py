@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -276,11 +277,14 @@ def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
     from ..behaviour.trials import STIMULI
     from ..recordings.tables import load_table
 
-    table = pd.concat([_with_choice(load_table(path).frame, path) for path in files])
+    loaded = [load_table(path) for path in files]
+    table = pd.concat([_with_choice(t.frame, path) for t, path in zip(loaded, files, strict=True)])
     named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"
-    return ww.read_trials(table.reset_index(drop=True), columns=named, task=task)
+    trials = ww.read_trials(table.reset_index(drop=True), columns=named, task=task)
+    of_files = [f"{t.name}: {note}" for t in loaded for note in t.notes]
+    return replace(trials, notes=(*of_files, *trials.notes))
 
 
 def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
