@@ -375,7 +375,8 @@ class Posterior(Shown):
             value = self.observer.log_likelihood(reading, contact[:, :, i])
             # A draw between two nodes may lie just beyond a fold, where no contact is held.
             held = np.isfinite(value)
-            out[:, :, i] = np.where(held, value, value[held].min(initial=0.0))
+            if held.any():
+                out[:, :, i] = np.where(held, value, value[held].min())
         return out if self.reading.ndim > 1 else out[:, :, 0]
 
     def _observed(self, i: int) -> NDArray[Any]:
