@@ -192,8 +192,9 @@ class Evidence:
         theta, off = self._likeliest(r, theta)
         signals, outcome = observer.signals(np.array([[r, theta]])[:, :count])
         signs = self.reading[: len(self.reading) - self.sensor.taps]
-        held = outcome[0] == Outcome.HELD
-        return bool(not held or off > 5.0 or is_outside(observer.noise, signs[None], signals)[0])
+        if outcome[0] != Outcome.HELD or off > 5.0:
+            return True
+        return bool(is_outside(observer.noise, signs[None], signals)[0])
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
         """Draws (n, 2) of the place from the posterior of this whisker alone."""
@@ -301,18 +302,18 @@ class Blurred(Evidence):
             live = log > log.max(axis=1, keepdims=True) - self.DEPTH
             first = np.maximum(live.argmax(axis=1) - 1, 0)
             last = np.minimum(nodes - live[:, ::-1].argmax(axis=1), nodes - 1)
-            step, rows = (high - low) / (nodes - 1), np.arange(len(r))
-            low, high = y[rows, first], y[rows, last]
+            step, index = (high - low) / (nodes - 1), np.arange(len(r))
+            low, high = y[index, first], y[index, last]
         return log, phi, top * np.exp(slope) * step[:, None]
 
     def _at(self, r: Array, theta: Array) -> Array:
         if self._table is None:
             return super()._at(r, theta)
         out = np.full(r.shape, -np.inf)
-        some = (r >= self._ends[0]) & (r <= self._ends[1])
-        mean, variance = self._line(r[some]).T
-        t = (theta[some] - mean) / np.sqrt(np.maximum(variance, 0.0) + self.sensor.angle_sd**2)
-        out[some] = self._table.ev(r[some], np.clip(t, -8.0, 8.0)) - t**2 / 2
+        inside = (r >= self._ends[0]) & (r <= self._ends[1])
+        mean, variance = self._line(r[inside]).T
+        t = (theta[inside] - mean) / np.sqrt(np.maximum(variance, 0.0) + self.sensor.angle_sd**2)
+        out[inside] = self._table.ev(r[inside], np.clip(t, -8.0, 8.0)) - t**2 / 2
         return out
 
     def _contacts(self, rng: np.random.Generator, count: int) -> Array:
@@ -335,7 +336,7 @@ class JointEvidence:
     """
 
     touched: list[Evidence]
-    apart: list[Sensor]
+    untouched: list[Sensor]
     missed: float
     pole_length: float | None
     heights: tuple[float, float]
@@ -352,7 +353,7 @@ class JointEvidence:
             low, high = self.heights
             out[live] += logsumexp(log, axis=1) - np.log(high - low)
             return out
-        for sensor in self.apart:
+        for sensor in self.untouched:
             live = np.flatnonzero(out > -np.inf)
             noticed = (1 - self.missed) * sensor.touch_probability(place[live])
             with np.errstate(divide="ignore"):
@@ -373,7 +374,8 @@ class JointEvidence:
             low, high = np.maximum(low, z - half), np.minimum(high, z + half)
         high = np.maximum(low, high)
         noticed = [
-            ((1 - self.missed) * s.touch_probability(place), s.height(place)) for s in self.apart
+            ((1 - self.missed) * s.touch_probability(place), s.height(place))
+            for s in self.untouched
         ]
         noticed = [(p, z) for p, z in noticed if p.any()]
         ends = [low, high, *(z + d for _, z in noticed for d in (-half, half))]

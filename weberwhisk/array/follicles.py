@@ -254,8 +254,8 @@ class WhiskerArray(Shown, Value):
         identities: Iterable[str] | None = None,
         protraction: float = 0.0,
     ) -> None:
-        known = known_identities(one_of("species", species, SPECIES))
-        intact = known if identities is None else one_or_more("identities", identities, known)
+        names = known_identities(one_of("species", species, SPECIES))
+        intact = names if identities is None else one_or_more("identities", identities, names)
         turned = angle("protraction", protraction, _RADIANS)
         self._set(
             species=species,
@@ -287,13 +287,13 @@ class WhiskerArray(Shown, Value):
 
     def table(self) -> pd.DataFrame:
         """One row a whisker: name, base point and length in mm, angles in degrees."""
-        rows = []
+        records = []
         for name, f in self.whiskers.items():
             whisker = getattr(f.whisker, "whisker", f.whisker)
             angles = np.degrees([f.azimuth, f.elevation, f.roll])
-            rows.append((name, f.side, *1e3 * f.base, 1e3 * whisker.length, *angles))
+            records.append((name, f.side, *1e3 * f.base, 1e3 * whisker.length, *angles))
         columns = "whisker side x_mm y_mm z_mm length_mm azimuth_deg elevation_deg roll_deg"
-        return pd.DataFrame(rows, columns=columns.split())
+        return pd.DataFrame(records, columns=columns.split())
 
     _table = table
 

@@ -115,8 +115,8 @@ class ArrayObserver(Fields):
 
         out = {}
         for name, follicle in self.array.whiskers.items():
-            cue = _own(self.cue, name, "cue") or ForceMap()
-            observer = Observer(follicle.whisker, cue, _own(self.noise, name, "noise"))
+            cue = _of_whisker(self.cue, name, "cue") or ForceMap()
+            observer = Observer(follicle.whisker, cue, _of_whisker(self.noise, name, "noise"))
             if len(observer.unknowns) > observer.bounded:
                 raise Refusal(
                     "The place is of distance and deflection alone",
@@ -195,8 +195,8 @@ class ArrayObserver(Fields):
         """
         y = self.checked(readings)
         touched = [self.sensors[name].evidence(r) for name, r in y.items() if r is not None]
-        apart = [self.sensors[name] for name, r in y.items() if r is None]
-        return JointEvidence(touched, apart, self.missed, self.pole_length, self.heights)
+        untouched = [self.sensors[name] for name, r in y.items() if r is None]
+        return JointEvidence(touched, untouched, self.missed, self.pole_length, self.heights)
 
     def information(self, place: ArrayLike) -> Array:
         """Fisher information about places (n, 2) by whisker, (n, whiskers, 2, 2), 1/m²."""
@@ -225,7 +225,7 @@ class ArrayObserver(Fields):
         }
 
 
-def _own(value: Any, name: str, what: str) -> Any:
+def _of_whisker(value: Any, name: str, what: str) -> Any:
     """The cue or noise of one whisker, from a mapping or shared by all."""
     if not isinstance(value, Mapping):
         return value

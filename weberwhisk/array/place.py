@@ -58,10 +58,10 @@ def place(
         "observer", observer, "an ArrayObserver", "sensors", "write ww.ArrayObserver(array)"
     )
     evidence, box, rng = observer.log_likelihood(readings), observer.box, checks.generator(seed)
-    frame, some = Frame.of_box(box), np.empty((0, 2))
+    frame, draws = Frame.of_box(box), np.empty((0, 2))
     if evidence.touched:
         drawn = [one.draws(rng, 800) for one in evidence.touched]
-        some = np.concatenate([d[: 800 // len(drawn)] for d in drawn])
+        draws = np.concatenate([d[: 800 // len(drawn)] for d in drawn])
         if drawn := [places for places in drawn if len(places) > 2]:  # else no contact explains it
             frame = Frame.of_draws(drawn)
 
@@ -71,19 +71,19 @@ def place(
         out[inside] = evidence(at[inside])
         return out
 
-    found = integrate(log_density, frame, tolerance, some)
-    if evidence.touched and not np.isfinite(found["_log_evidence"]):  # they contradict each other
-        found = integrate(log_density, Frame.of_box(box), tolerance, some)
-    status = Status.CONVERGED if found["error"] <= tolerance else Status.IMPRECISE
-    if not np.isfinite(found["_log_evidence"]):
+    sums = integrate(log_density, frame, tolerance, draws)
+    if evidence.touched and not np.isfinite(sums["_log_evidence"]):  # they contradict each other
+        sums = integrate(log_density, Frame.of_box(box), tolerance, draws)
+    status = Status.CONVERGED if sums["error"] <= tolerance else Status.IMPRECISE
+    if not np.isfinite(sums["_log_evidence"]):
         status = Status.IMPROBABLE_READING
     elif not evidence.touched:
         status = Status.NO_CONTACT
     else:
-        best = found["places"][np.argmax(found["log_density"])]
+        best = sums["places"][np.argmax(sums["log_density"])]
         if any(one.is_improbable(best) for one in evidence.touched):
             status = Status.IMPROBABLE_READING
-    return Place(observer, observer.checked(readings), status, **found, _evidence=evidence)
+    return Place(observer, observer.checked(readings), status, **sums, _evidence=evidence)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,11 +204,11 @@ class Place(Shown):
     def summary(self) -> pd.DataFrame:
         """A row each for x, y, z: mean, sd, 95 % interval in mm, how many touch, the status."""
         mean, sd, interval = self.height
-        rows = np.column_stack([self.mean, self.sd, self.interval()])
+        numbers = np.column_stack([self.mean, self.sd, self.interval()])
         if not np.isnan(mean):
-            rows = np.vstack([rows, [mean, sd, *interval]])
-        table = 1e3 * pd.DataFrame(rows, columns=["mean_mm", "sd_mm", "low_95_mm", "high_95_mm"])
-        table.insert(0, "coordinate", list("xyz")[: len(rows)])
+            numbers = np.vstack([numbers, [mean, sd, *interval]])
+        table = 1e3 * pd.DataFrame(numbers, columns=["mean_mm", "sd_mm", "low_95_mm", "high_95_mm"])
+        table.insert(0, "coordinate", list("xyz")[: len(numbers)])
         return table.assign(touching=len(self.touching), status=self._said)
 
     @property
@@ -277,7 +277,7 @@ class _Cells(NamedTuple):
     low: Array
     side: Array
     log: Array
-    apart: Array
+    difference: Array
     top: Array
 
     def points(self) -> Array:
@@ -295,7 +295,7 @@ def integrate(
     log_density: Callable[[Array], Array],
     frame: Frame,
     tolerance: float,
-    known: Array,
+    draws: Array,
     *,
     depth: float = 26.0,
     most: int = 40_000,
@@ -329,14 +329,14 @@ def integrate(
             break
         frame = frame._replace(low=low, high=high)
         cells = made(*_lattice(low, high))
-    error, seen = np.inf, log_density(known) if len(known) else np.empty(0)
-    place = np.linalg.solve(frame.matrix, (known - frame.middle).T).T[seen > -np.inf]
+    error, seen = np.inf, log_density(draws) if len(draws) else np.empty(0)
+    place = np.linalg.solve(frame.matrix, (draws - frame.middle).T).T[seen > -np.inf]
     seen = seen[seen > -np.inf]
     for _ in range(16):
         share, top = _mass(cells)
         if not np.isfinite(top):
             break
-        new = np.isinf(cells.apart[:, 0])
+        new = np.isinf(cells.difference[:, 0])
         best = cells.log.max(axis=1)
         slack = best - np.where(np.isfinite(cells.log), cells.log, np.inf).min(axis=1)
         slack = np.nan_to_num(slack, nan=0.0, neginf=0.0)
@@ -389,8 +389,8 @@ def _cut(cells: _Cells, cut: Flags, made: Callable[[Array, Array], _Cells], top:
     corner = np.tile([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], (len(old.low), 1))
     quarters = made(np.repeat(old.low, 4, axis=0) + side * corner, side)
     sums = _monomials(quarters, top).reshape(-1, 4, 6).sum(axis=1)
-    apart = np.repeat((sums - _monomials(old, top)) / 2, 4, axis=0)
-    quarters = quarters._replace(apart=apart, top=np.full(len(quarters.log), top))
+    difference = np.repeat((sums - _monomials(old, top)) / 2, 4, axis=0)
+    quarters = quarters._replace(difference=difference, top=np.full(len(quarters.log), top))
     return _Cells(*(np.concatenate(pair) for pair in zip(cells.of(~cut), quarters, strict=True)))
 
 
@@ -401,17 +401,17 @@ def _moments(cells: _Cells, top: float) -> tuple[float, Array, Array]:
     return total, mean, covariance
 
 
-def _errors(cells: _Cells, top: float, known: Flags) -> tuple[float, Array]:
+def _errors(cells: _Cells, top: float, compared: Flags) -> tuple[float, Array]:
     """The estimated error in sds, and how much of it each cell has (n,)."""
     total, mean, covariance = _moments(cells, top)
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     above = np.exp(np.minimum(cells.top - top, 500.0))  # a peak that quarters did not meet again
-    apart = np.where(known[:, None], cells.apart, 0.0) * above[:, None] / total
-    one, size = apart[:, 0], np.abs(apart[:, 0])
+    difference = np.where(compared[:, None], cells.difference, 0.0) * above[:, None] / total
+    one, size = difference[:, 0], np.abs(difference[:, 0])
     for m, s, (first, second) in zip(mean, sd, ((1, 3), (2, 5)), strict=True):
-        off = (apart[:, first] - m * one) / s
-        spread = (apart[:, second] - 2 * m * apart[:, first] + m * m * one) / s**2 - one
-        size = np.maximum(size, np.maximum(np.abs(off), np.abs(spread) / 2))
+        off = (difference[:, first] - m * one) / s
+        square = difference[:, second] - 2 * m * difference[:, first] + m * m * one
+        size = np.maximum(size, np.maximum(np.abs(off), np.abs(square / s**2 - one) / 2))
     return 2 * float(np.sqrt(np.sum(size**2))), size
 
 

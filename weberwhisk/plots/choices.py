@@ -105,11 +105,11 @@ def psychometrics(
             legend_above(ax)
         return given[:count]
     columns = max(min(count, 4), 1)
-    rows = max(-(-count // columns), 1)
+    panel_rows = max(-(-count // columns), 1)
     width = SINGLE if columns == 1 else DOUBLE * columns / 4
-    figure = open_figure(width, 0.9 + 1.55 * rows if rows > 1 else 2.6)
+    figure = open_figure(width, 0.9 + 1.55 * panel_rows if panel_rows > 1 else 2.6)
     sharing: Any = {"sharey": True, "sharex": _relative(fit) or in_groups, "squeeze": False}
-    drawn = figure.subplots(rows, columns, **sharing).ravel()
+    drawn = figure.subplots(panel_rows, columns, **sharing).ravel()
     for spare in drawn[count:]:
         spare.set_visible(False)
     for ax, panel in zip(drawn, panels, strict=False):
@@ -191,8 +191,8 @@ def _answer_label(fit: WeberFit) -> str:
         words = f"Proportion of {task.answer}"
     else:
         words = "Second reported greater"
-    own = _own_name(fit, ("choice", "n_greater", "correct", "n_correct"), "")
-    return f"{own}: {words[0].lower()}{words[1:]}" if own else words
+    column = _own_name(fit, ("choice", "n_greater", "correct", "n_correct"), "")
+    return f"{column}: {words[0].lower()}{words[1:]}" if column else words
 
 
 def _own_name(fit: WeberFit, columns: Sequence[str], otherwise: str) -> str:
@@ -266,8 +266,8 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
         ends = (curve[name].to_numpy() for name in ("lower", "median", "upper"))
         _fitted(fit, ax, curve["comparison"].to_numpy() - origin, *ends)
     # Located distances differ from trial to trial.
-    few = (20, 10) if cells.sd_1 is not None else (MOST_LEVELS, 20)
-    _marked(ax, _Points(x, cells.n, cells.count), *few)
+    most, bins = (20, 10) if cells.sd_1 is not None else (MOST_LEVELS, 20)
+    _marked(ax, _Points(x, cells.n, cells.count), most, bins)
     ax.axvline(standard - origin, color="0.7", linewidth=0.8, zorder=0, label="standard")
 
 
@@ -343,8 +343,8 @@ def population(
     in_groups = _grouped(standards.size)
     places: list[float | None] = [None]
     if not in_groups:
-        few = standards.size <= 3
-        places = [*standards] if few else [*standards[[0, standards.size // 2, -1]]]
+        all_shown = standards.size <= 3
+        places = [*standards] if all_shown else [*standards[[0, standards.size // 2, -1]]]
     figure = open_figure(DOUBLE, max(2.9, height_of(len(fits)) + 0.6))
     grid = figure.add_gridspec(1, len(places) + 1, width_ratios=[1.0] * len(places) + [1.2])
     axes: list[Axes] = []
@@ -403,8 +403,8 @@ def _animal(fit: WeberFit, ax: Axes, standard: float | None, i: int, name: str) 
 
 def _animals(fits: Sequence[WeberFit], ax: Axes, standard: float | None) -> None:
     """Draw the curve of each of many animals, their median, and all their choices together."""
-    parts = [_of_animal(fit, standard) for fit in fits]
-    every = _Points(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("x", "n", "count")))
+    points = [_of_animal(fit, standard) for fit in fits]
+    every = _Points(*(np.concatenate([getattr(p, n) for p in points]) for n in ("x", "n", "count")))
     _, which = np.unique(every.x, return_inverse=True)
     shown = every.gathered(which.ravel()).binned(MOST_LEVELS)
     x = np.linspace(every.x.min(), every.x.max(), 81)

@@ -95,16 +95,16 @@ def bending(
         ("transverse_force", "Transverse force F$_y$ (µN)", 1e-6),
     )
     for ax, (attribute, title, scale) in zip(axes, signals, strict=True):
-        x, y, place = (_rows(curves, which) for which in (against, attribute, name))
-        for i, held in enumerate(np.isfinite(y)):
-            if not held.any():  # out of reach: there is no line
+        x, y, place = (_values(curves, which) for which in (against, attribute, name))
+        for i, in_reach in enumerate(np.isfinite(y)):
+            if not in_reach.any():  # out of reach: there is no line
                 continue
-            ends = dict.fromkeys(f"{1e3 * f(place[i][held]):.4g}" for f in (np.min, np.max))
+            ends = dict.fromkeys(f"{1e3 * f(place[i][in_reach]):.4g}" for f in (np.min, np.max))
             text = f"{symbol} = {' to '.join(ends)} mm"
-            line = mark(i, markersize=4) if held.sum() == 1 else look(i)
+            line = mark(i, markersize=4) if in_reach.sum() == 1 else look(i)
             ax.plot(x[i] / unit, y[i] / scale, **line, label=text)
             if points is not None:
-                at = [_rows(points, which)[i] for which in (against, attribute)]
+                at = [_values(points, which)[i] for which in (against, attribute)]
                 marks = mark(i, markersize=4, markerfacecolor="white")
                 ax.plot(at[0] / unit, at[1] / scale, **marks)
         ax.set(xlabel=label, ylabel=title)
@@ -116,7 +116,7 @@ def bending(
     return np.array(axes, dtype=object)
 
 
-def _rows(curves: Bending, name: str) -> Array:
+def _values(curves: Bending, name: str) -> Array:
     """An attribute of every contact, (lines, points)."""
     values = np.asarray(getattr(curves, name), dtype=float)
     return values.reshape(-1, values.shape[-1] if values.ndim else 1)
@@ -213,29 +213,29 @@ def jnd_lines(
     given = tables if isinstance(tables, Mapping) else {"": tables}
     named: dict[str, pd.DataFrame] = {}
     for label, one in given.items():
-        parts = _by_angle(one) if isinstance(one, pd.DataFrame) else one.lines()
-        named |= {", ".join(filter(None, (label, angle))): t for angle, t in parts.items()}
+        lines = _by_angle(one) if isinstance(one, pd.DataFrame) else one.lines()
+        named |= {", ".join(filter(None, (label, angle))): t for angle, t in lines.items()}
     x_unit = 1.0 if length is None else 1e3 * length
     y_unit = 1.0 if length is None else 1e3 * length * (weber_fraction or 1.0)
     for i, (label, table) in enumerate(named.items()):
-        rows = table.sort_values("radial_distance_mm")
+        by_distance = table.sort_values("radial_distance_mm")
         prefix = f"{drawable(label)}: " if label else ""
         # The closed form is for small angles: the observer's own slope is shown where it differs.
-        x = rows["radial_distance_mm"].to_numpy(float) / x_unit
-        exact = rows["propagation_mm"].to_numpy(float) / y_unit
-        closed = rows["closed_form_mm"].to_numpy(float) / y_unit
+        x = by_distance["radial_distance_mm"].to_numpy(float) / x_unit
+        exact = by_distance["propagation_mm"].to_numpy(float) / y_unit
+        closed = by_distance["closed_form_mm"].to_numpy(float) / y_unit
         if np.isfinite(closed).any():
             ax.plot(x, closed, **look(i), label=f"{prefix}closed form")
         if not np.allclose(exact, closed, rtol=1e-3, equal_nan=True):
             ax.plot(x, exact, **look(i) | {"linestyle": ":"}, label=f"{prefix}exact slope")
-        points = np.isfinite(rows["posterior_mm"].to_numpy(float))
+        points = np.isfinite(by_distance["posterior_mm"].to_numpy(float))
         if points.any():
-            found, error = (
-                rows[name].to_numpy(float)[points] / y_unit
+            posterior, error = (
+                by_distance[name].to_numpy(float)[points] / y_unit
                 for name in ("posterior_mm", "posterior_error_mm")
             )
             label = f"{prefix}posterior, 95 %"
-            errors(ax, x[points], found, error, i, markersize=2.5, label=label)
+            errors(ax, x[points], posterior, error, i, markersize=2.5, label=label)
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
     criterion = " / ".join(dict.fromkeys(str(c) for t in named.values() for c in t["criterion"]))
@@ -249,10 +249,10 @@ def jnd_lines(
 
 def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """The rows at each deflection angle, by its label."""
-    rows = table.reset_index()
-    if "deflection_angle_deg" not in rows or rows["deflection_angle_deg"].nunique() < 2:
-        return {"": rows}
-    return {f"{angle:.4g}°": part for angle, part in rows.groupby("deflection_angle_deg")}
+    flat = table.reset_index()
+    if "deflection_angle_deg" not in flat or flat["deflection_angle_deg"].nunique() < 2:
+        return {"": flat}
+    return {f"{angle:.4g}°": part for angle, part in flat.groupby("deflection_angle_deg")}
 
 
 @styled
@@ -286,9 +286,9 @@ def jnd_surface(
 def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: float) -> None:
     """Draw the colours, lines and labels of `jnd_surface`, without its legend."""
     names = ["radial_distance_mm", "deflection_angle_deg", "jnd_mm"]
-    rows = table.sort_values(names[:2])
-    count = rows["radial_distance_mm"].nunique()
-    r, y, jnd = (rows[name].to_numpy(float).reshape(count, -1) for name in names)
+    by_place = table.sort_values(names[:2])
+    count = by_place["radial_distance_mm"].nunique()
+    r, y, jnd = (by_place[name].to_numpy(float).reshape(count, -1) for name in names)
     x, z = r / (1e3 * length), jnd / (1e3 * length * weber_fraction)
     top = np.ceil(np.nanmax(z[:, 0]) * 5) / 5
     filled = ax.contourf(x, y, z, np.linspace(0, top, 65), cmap="cividis", extend="neither")
@@ -299,8 +299,8 @@ def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: f
         ("contact_angle_deg", 90.0, "--", "white", "contact angle of 90°"),
         ("signed_jnd_mm", 0.0, "-", COLOURS[1], "false zero of the linear JND"),
     ):
-        if name in rows:
-            w = rows[name].to_numpy(float).reshape(count, -1)
+        if name in by_place:
+            w = by_place[name].to_numpy(float).reshape(count, -1)
             if np.nanmin(w) < level < np.nanmax(w):  # a cylinder may reach neither
                 ax.contour(x, y, w, [level], colors=colour, linestyles=style, linewidths=1.2)
                 colour = "0.6" if colour == "white" else colour
@@ -331,18 +331,19 @@ def located(
     ax = axes_or_new(ax, DOUBLE)
     names = ("radial_distance_mm", "lower_mm", "upper_mm")
     x = np.arange(len(table)) if against in (None, by) else table[against].to_numpy(dtype=float)
-    rows = table.assign(place=x).sort_values("place", kind="stable")
-    touches = rows[rows["touch_status"] == "converged"].groupby(by, sort=False) if by else None
+    frames = table.assign(place=x).sort_values("place", kind="stable")
+    touches = frames[frames["touch_status"] == "converged"].groupby(by, sort=False) if by else None
     if touches is not None and against == by:
         first = touches.first()
         at = np.arange(len(first))
         bars(ax, at, [first[f"touch_{n}"] for n in names], 0, label="each touch, 95 % interval")
         ax.set_xticks(at[:: 1 + len(at) // 20], first.index[:: 1 + len(at) // 20])
     else:
-        middle, low, high = (rows[name].astype(float) for name in names)
+        middle, low, high = (frames[name].astype(float) for name in names)
         band: Any = {"color": COLOURS[4], "alpha": 0.4, "label": "95 % interval, each row"}
-        ax.fill_between(rows["place"], low, high, **band)
-        ax.plot(rows["place"], middle, ".", color=COLOURS[0], markersize=2, label="mean, each row")
+        ax.fill_between(frames["place"], low, high, **band)
+        dots: Any = {"color": COLOURS[0], "markersize": 2, "label": "mean, each row"}
+        ax.plot(frames["place"], middle, ".", **dots)
         if touches is not None and len(touches):
             first = touches.first()
             ends = [first[f"touch_{name}"] for name in names]

@@ -78,12 +78,12 @@ def power_curve(found: Power | Plan, ax: Axes | None = None) -> Axes:
     by = "animals" if table["trials"].nunique() == 1 < table["animals"].nunique() else "trials"
     others = [name for name in ("truth", "trials", "animals")
               if name != by and (name == "truth" or table[name].nunique() > 1)]  # fmt: skip
-    for i, (key, own) in enumerate(table.groupby(others, sort=False)):
-        rows = own.sort_values(by)
-        ends = (rows[name] for name in ("power", "lower", "upper"))
+    for i, (key, group) in enumerate(table.groupby(others, sort=False)):
+        ordered = group.sort_values(by)
+        ends = (ordered[name] for name in ("power", "lower", "upper"))
         more = (f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True))
         words = ", ".join([f"{drawable(key[0])} is true", *more])
-        bars(ax, rows[by], ends, i, linestyle=LINES[i % len(LINES)], label=words)
+        bars(ax, ordered[by], ends, i, linestyle=LINES[i % len(LINES)], label=words)
     style: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
     ax.axhline(found.goal.share, **style, label="goal")
     if scheme is not None:
@@ -132,9 +132,10 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
         at = levels["comparison_mm"]
         bars(ax, at, expected, 0, color=COLOURS[6], label="expected, 95 % by chance")
         for i, hypothesis in enumerate(plan.hypotheses):
-            own = plan.curves.query("hypothesis == @hypothesis.name")
-            own = own[np.isclose(own["standard_mm"], mm)]
-            ax.plot(own["comparison_mm"], own["median"], **look(i), label=drawable(hypothesis.name))
+            curve = plan.curves.query("hypothesis == @hypothesis.name")
+            curve = curve[np.isclose(curve["standard_mm"], mm)]
+            label = drawable(hypothesis.name)
+            ax.plot(curve["comparison_mm"], curve["median"], **look(i), label=label)
         ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0, label="standard")
         ax.set(title=f"standard {mm:.3g} mm", ylim=(-0.03, 1.03))
         ax.xaxis.set_major_locator(MaxNLocator(4))
@@ -160,13 +161,13 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax)
     for i, hypothesis in enumerate(plan.hypotheses):
-        own = plan.jnds.query("hypothesis == @hypothesis.name")
-        at, low, high = (own[f"{name}_mm"] for name in ("stimulus", "lower", "upper"))
+        curve = plan.jnds.query("hypothesis == @hypothesis.name")
+        at, low, high = (curve[f"{name}_mm"] for name in ("stimulus", "lower", "upper"))
         ax.fill_between(at, low, high, color=COLOURS[i], alpha=0.2)
-        ax.plot(at, own["jnd_mm"], **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
+        ax.plot(at, curve["jnd_mm"], **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
     points = plan.jnds_by_standard
-    known = (points[name] for name in ("jnd_mm", "lower_mm", "upper_mm"))
-    bars(ax, points["standard_mm"], known, 0, color=COLOURS[6], label="each standard alone, 95 %")
+    jnds = (points[name] for name in ("jnd_mm", "lower_mm", "upper_mm"))
+    bars(ax, points["standard_mm"], jnds, 0, color=COLOURS[6], label="each standard alone, 95 %")
     ax.set_ylim(bottom=0)
     ax.set(xlabel="Radial distance (mm)", ylabel=f"JND (mm), {points['criterion'].iloc[0]}")
     return legend_above(ax)
@@ -190,8 +191,8 @@ def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
     goal = result.goal
     compared = goal.column == "log_bayes_factor"
     unit = np.log(10.0) if compared else 0.01
-    for i, (truth, own) in enumerate(result.runs.groupby("truth", sort=False)):
-        values = np.sort(own[goal.column].to_numpy(float)) / unit
+    for i, (truth, runs) in enumerate(result.runs.groupby("truth", sort=False)):
+        values = np.sort(runs[goal.column].to_numpy(float)) / unit
         below = np.arange(1, values.size + 1) / values.size
         ax.step(values, below, where="post", **look(i), label=drawable(truth))
     edge: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
@@ -212,9 +213,9 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
     subjects = list(dict.fromkeys(result.estimates["subject"]))
     middle = (len(result.log_evidence) - 1) / 2
     for i, name in enumerate(result.log_evidence):
-        own = result.of(name)
-        ends = (own[column] for column in ("weber_fraction", "lower", "upper"))
-        at = [subjects.index(s) + 0.15 * (i - middle) for s in own["subject"]]
+        estimates = result.of(name)
+        ends = (estimates[column] for column in ("weber_fraction", "lower", "upper"))
+        at = [subjects.index(s) + 0.15 * (i - middle) for s in estimates["subject"]]
         bars(ax, at, ends, i, label=f"{drawable(name)}, 95 %")
     ax.set_xticks(range(len(subjects)), [drawable(str(s)) for s in subjects])
     ax.set(xlabel="Animal", ylabel="Weber fraction k", xlim=(-0.6, len(subjects) - 0.4))
@@ -226,11 +227,11 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
 def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     """Plot the comparisons of a session in order, and whether they were judged greater."""
     ax = axes_or_new(ax, SINGLE, 2.8)
-    rows = placer.trials().frame
-    offset = rows["stimulus_2"] - rows["stimulus_1"]
+    trials = placer.trials().frame
+    offset = trials["stimulus_2"] - trials["stimulus_1"]
     for i, (answer, label) in enumerate(((1.0, "counted answer"), (0.0, "the other"))):
-        own = rows["count"] == answer
-        ax.plot(rows["trial"][own], offset[own], **mark(i, markersize=2.5), label=label)
+        chosen = trials["count"] == answer
+        ax.plot(trials["trial"][chosen], offset[chosen], **mark(i, markersize=2.5), label=label)
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Trial", ylabel="Comparison − standard")
@@ -272,9 +273,9 @@ def plan_page(plan: Plan) -> str:
     )
 
 
-def _each(form: str, rows: Iterable[tuple[str, ...]]) -> str:
+def _each(form: str, records: Iterable[tuple[str, ...]]) -> str:
     """HTML of a table's rows: each filled, escaped, into a form."""
-    return "".join(form.format(*map(escape, row)) for row in rows)
+    return "".join(form.format(*map(escape, row)) for row in records)
 
 
 def _numbers(plan: Plan) -> list[tuple[str, str]]:

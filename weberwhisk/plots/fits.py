@@ -115,24 +115,25 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     'Weber fraction'
     """
     table = fit.subjects
-    rows = table[table["weber_fraction"].notna()].sort_values("alone").reset_index(drop=True)
-    named = len(rows) <= MOST_NAMED
-    ax = axes_or_new(ax, SINGLE, height_of(len(rows)))
-    y = np.arange(len(rows), dtype=float) + 1
+    animals = table[table["weber_fraction"].notna()].sort_values("alone").reset_index(drop=True)
+    named = len(animals) <= MOST_NAMED
+    ax = axes_or_new(ax, SINGLE, height_of(len(animals)))
+    y = np.arange(len(animals), dtype=float) + 1
     for names, shift, i, face, label in (
         (("alone", "alone_lower", "alone_upper"), -0.17, 1, "white", "alone"),
         (("weber_fraction", "lower", "upper"), 0.17, 0, COLOURS[0], "with the others"),
     ):
-        middle, low, high = (rows[c].to_numpy(float) for c in names)
+        middle, low, high = (animals[c].to_numpy(float) for c in names)
         ends = [(middle - low).tolist(), (high - middle).tolist()]
         style = mark(i, elinewidth=0.9, markerfacecolor=face, label=f"{label}, 95 %")
         small = {} if named else {"elinewidth": 0.4, "markersize": 1.5, "markeredgewidth": 0.5}
         ax.errorbar(middle, y + shift, xerr=ends, **style | small)
     ax.axvspan(*fit.interval(0.95), color="0.9", zorder=0, label="population median, 95 %")
     if named:
-        ax.set_yticks(y, [drawable(str(subject)) for subject in rows["subject"]])
+        ax.set_yticks(y, [drawable(str(subject)) for subject in animals["subject"]])
     else:
-        ax.set(ylabel="Animal, in the order of the Weber fraction alone", ylim=(0, len(rows) + 1))
+        ax.set_ylim(0, len(animals) + 1)
+        ax.set_ylabel("Animal, in the order of the Weber fraction alone")
     unit = next((f" ({one.unit})" for one in fit.fits.values() if one.unit), "")
     ax.set(xscale="log", xlabel=f"Weber fraction{unit}")
     log_numbers(ax.xaxis)

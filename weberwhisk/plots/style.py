@@ -58,9 +58,9 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 def drawable(name: object, longest: int = 24) -> str:
     """A name as the font can draw it: unknown characters escaped, no formula, cut if long."""
     font = get_font(findfont(FontProperties()))
-    known = font.get_charmap()
+    glyphs = font.get_charmap()
     text = "".join(
-        c if ord(c) in known and c.isprintable() else c.encode("unicode_escape").decode()
+        c if ord(c) in glyphs and c.isprintable() else c.encode("unicode_escape").decode()
         for c in str(name)
     )
     text = text if len(text) <= longest else f"{text[: longest - 1]}…"
@@ -186,10 +186,10 @@ def legend_above(ax: Axes, columns: int = 2) -> Axes:
 
 def legend_over(figure: Any, axes: Iterable[Axes], columns: int) -> None:
     """One legend above several axes, with every label once; no legend without labels."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    if found:
-        names, columns = list(found), min(columns, len(found))
-        figure.legend(found.values(), names, loc="outside upper center", ncols=columns)
+            entries.setdefault(label, handle)
+    if entries:
+        names, columns = list(entries), min(columns, len(entries))
+        figure.legend(entries.values(), names, loc="outside upper center", ncols=columns)

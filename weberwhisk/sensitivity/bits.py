@@ -146,10 +146,10 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
         drawn = _drawn(observer, r, np.full(count, widest), rng)
         if observer.bounded > 1:
             least, width = observer.space.angle_range(drawn[:, 0], drawn)
-            held = drawn[:, 1] < least + width
+            in_contact = drawn[:, 1] < least + width
         else:
-            held = observer.signals(drawn)[1] == Outcome.HELD
-        out = np.concatenate([out, drawn[held]])
+            in_contact = observer.signals(drawn)[1] == Outcome.HELD
+        out = np.concatenate([out, drawn[in_contact]])
     return out[:count]
 
 
@@ -168,8 +168,8 @@ def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator)
             drawn[name] = observer.prior[name].ppf(u)
             continue
         low = observer.space.angle_range(r)[0]
-        known = observer.prior.get(name)
-        drawn[name] = low + u * width if known is None else _within(known, low, low + width, u)
+        prior = observer.prior.get(name)
+        drawn[name] = low + u * width if prior is None else _within(prior, low, low + width, u)
     return np.stack([r, *drawn.values()], axis=-1)
 
 
@@ -211,14 +211,14 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     ends = np.cumsum([0, *(len(cue.signal_names) for cue in fused.cues)])
     noises = []
     for i in kept:
-        own = observer.noise.part(int(ends[-1]), int(ends[i]), int(ends[i + 1]))
-        if own is None:
+        part = observer.noise.part(int(ends[-1]), int(ends[i]), int(ends[i + 1]))
+        if part is None:
             raise Refusal(
                 "The noise must be given cue by cue",
                 f"{observer.noise!r}",
                 "write fused.joint(ww.receptors.Weber(0.1), ww.receptors.Weber(0.1)), say",
             )
-        noises.append(own)
+        noises.append(part)
     cue: Cue = fused.cues[kept[0]]
     noise: ReceptorNoise = noises[0]
     if len(kept) > 1:
@@ -257,16 +257,17 @@ def added_information(observer: Observer, *, n_readings: int = 400, seed: Seed =
     ValueError
         As for `alone` and `information`.
     """
-    parts = alone(observer)
-    seeds = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(2 * len(parts) + 1)
+    cues_alone = alone(observer)
+    entropy = int(generator(seed).integers(2**63))
+    seeds = np.random.SeedSequence(entropy).spawn(2 * len(cues_alone) + 1)
     whole = information(observer, n_readings=n_readings, seed=seeds[-1])
-    rows = []
-    for i, part in enumerate(parts):
-        rest = _part(observer, [j for j in range(len(parts)) if j != i])
+    records = []
+    for i, part in enumerate(cues_alone):
+        rest = _part(observer, [j for j in range(len(cues_alone)) if j != i])
         single = information(part, n_readings=n_readings, seed=seeds[2 * i])
         others = information(rest, n_readings=n_readings, seed=seeds[2 * i + 1])
         added = whole.value - others.value, float(np.hypot(whole.error, others.error))
-        rows.append((repr(part.cue), *single, *added))
-    rows.append(("all", *whole, *whole))
+        records.append((repr(part.cue), *single, *added))
+    records.append(("all", *whole, *whole))
     columns = ["cue", "alone_bits", "alone_error_bits", "added_bits", "added_error_bits"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(records, columns=columns)

@@ -56,41 +56,41 @@ class JNDCurve(Shown):
 
     _figure: ClassVar[str] = "jnd_lines"
     observer: Observer
-    _rows: pd.DataFrame  # in SI units, by the names of the unknowns
+    _frame: pd.DataFrame  # in SI units, by the names of the unknowns
 
     @classmethod
     def joined(cls, curves: Sequence[JNDCurve]) -> JNDCurve:
         """One curve with the contacts of several curves of one observer."""
-        rows = pd.concat([curve._rows for curve in curves], ignore_index=True)
-        return cls(curves[0].observer, rows)
+        frame = pd.concat([curve._frame for curve in curves], ignore_index=True)
+        return cls(curves[0].observer, frame)
 
     @cached_property
     def table(self) -> pd.DataFrame:
         """JNDs in mm, with the contact as index."""
-        found = with_units(self._rows, _JNDS, units=UNITS)
+        converted = with_units(self._frame, _JNDS, units=UNITS)
         index = ["radial_distance_mm", "deflection_angle_deg"]
-        return found.set_index([name for name in index if name in found])
+        return converted.set_index([name for name in index if name in converted])
 
     @overload
     def __getitem__(self, columns: str) -> pd.Series[float]: ...
     @overload
     def __getitem__(self, columns: list[str]) -> pd.DataFrame: ...
     def __getitem__(self, columns: str | list[str]) -> pd.Series[float] | pd.DataFrame:
-        return self._rows[columns]
+        return self._frame[columns]
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._frame)
 
     def _line(self) -> str:
-        held = self._rows[self._rows["posterior"].notna()]
-        if held.empty:
+        in_contact = self._frame[self._frame["posterior"].notna()]
+        if in_contact.empty:
             return f"{len(self)} contacts, none of them held"
-        mm = 1e3 * held[["radial_distance", "posterior"]]
+        mm = 1e3 * in_contact[["radial_distance", "posterior"]]
         at = [mm.iloc[int(k)] for k in (mm["posterior"].argmin(), mm["posterior"].argmax())]
         ends = (f"{p['posterior']:.3g} mm (at {p['radial_distance']:.3g} mm)" for p in at)
-        bad = int((held["unreliable"] > 0).sum())
+        bad = int((in_contact["unreliable"] > 0).sum())
         line = f"JND {' to '.join(ends)}, {self['criterion'].iloc[0]}, by posteriors; "
-        line += f"{len(held)} of {len(self)} contacts held"
+        line += f"{len(in_contact)} of {len(self)} contacts held"
         line += f", {bad} with posteriors to check" if bad else ""
         return f"{line}; {self.observer.note}" if self.observer.note else line
 
@@ -100,11 +100,11 @@ class JNDCurve(Shown):
         factor = criterion_factor(criterion)
         r = np.linspace(0.005, 0.999, 200) * self.observer.forward.length
         angles: list[float | None] = [None]
-        if "deflection_angle" in self._rows:
+        if "deflection_angle" in self._frame:
             angles = list(dict.fromkeys(self["deflection_angle"]))
             if len(angles) > len(self) / 2 > 1:  # too few contacts at each angle for lines
                 return {"": contacts}
-        parts = {}
+        tables = {}
         for at in angles:
             columns = [r] if at is None else [r, np.full_like(r, at)]
             contact = self.observer.at_middle(np.stack(columns, axis=-1))
@@ -120,8 +120,8 @@ class JNDCurve(Shown):
             mine = slice(None) if at is None else (self["deflection_angle"] == at).to_numpy()
             both = pd.concat([line, contacts.loc[mine, list(line.columns)]])
             label = "" if at is None else f"{np.degrees(at):.4g}°"
-            parts[label] = both.dropna(subset=["propagation_mm", "posterior_mm"], how="all")
-        return parts
+            tables[label] = both.dropna(subset=["propagation_mm", "posterior_mm"], how="all")
+        return tables
 
 
 def jnd_curve(
@@ -182,7 +182,7 @@ def jnd_curve(
     n_readings = checks.whole("n_readings", n_readings, "write 200, say", least=2)
     contact = _contact(observer, radial_distance, deflection_angle)
     signals, outcome = observer.signals(contact)
-    held = outcome == Outcome.HELD
+    in_contact = outcome == Outcome.HELD
     table = pd.DataFrame(dict(zip(observer.unknowns, contact.T, strict=True)))
     table["criterion"] = criterion
     for name, jnd in (
@@ -190,27 +190,29 @@ def jnd_curve(
         ("propagation", weber_propagation(observer, contact)),
         ("fisher", fisher_jnd(observer, contact)),
     ):
-        table[name] = np.where(held, jnd, np.nan)
+        table[name] = np.where(in_contact, jnd, np.nan)
     table[[*_JNDS[3:], "unreliable"]] = np.nan
-    if held.any():
+    if in_contact.any():
         entropy = None if seed is None else int(checks.generator(seed).integers(2**63))
         reading_seed, walker_seed = np.random.SeedSequence(entropy).spawn(2)
-        readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
+        repeated = np.repeat(signals[in_contact], n_readings, axis=0)
+        readings = observer.noise.sample(repeated, reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean, status = (
             np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean, result.status)
         )
         # Identical readings, such as those of one event, say nothing about the scatter.
-        spread = np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1)
-        scatter = np.where(spread == 0, np.nan, mean.std(axis=1, ddof=1))
-        for name, found in (
+        of_contacts = readings.reshape(-1, n_readings, readings.shape[-1])
+        identical = np.ptp(of_contacts, axis=1).max(axis=-1) == 0
+        scatter = np.where(identical, np.nan, mean.std(axis=1, ddof=1))
+        for name, values in (
             ("posterior", sd.mean(axis=1)),
             ("posterior_error", sd.std(axis=1, ddof=1) / np.sqrt(n_readings)),
             ("estimator", scatter),
             ("estimator_error", scatter / np.sqrt(2 * (n_readings - 1))),
             ("unreliable", (status != Status.CONVERGED).mean(axis=1)),
         ):
-            table.loc[held, name] = found
+            table.loc[in_contact, name] = values
     table[list(_JNDS)] *= criterion_factor(criterion)
     table["linear"] = is_linear(observer, contact)
     table["outcome"] = [Outcome(int(o)).message for o in outcome]
@@ -300,8 +302,8 @@ def _fisher_of_all(observer: Observer, contact: Array) -> float:
     one = np.isin(observer.unknowns, shared)
     each[:, ~one[:, None] & ~one] += once[~one[:, None] & ~one]
     across = each[:, one][..., ~one]
-    own = np.linalg.solve(each[:, ~one][..., ~one], np.swapaxes(across, -1, -2))
-    total = (each[:, one][..., one] - across @ own).sum(axis=0) + once[one][:, one]
+    projection = np.linalg.solve(each[:, ~one][..., ~one], np.swapaxes(across, -1, -2))
+    total = (each[:, one][..., one] - across @ projection).sum(axis=0) + once[one][:, one]
     return float(np.sqrt(np.linalg.inv(total)[0, 0]) * unit[0, 0])
 
 
@@ -350,7 +352,7 @@ def touches_jnd(
     n_readings = checks.whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)
     place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
-    rows = []
+    records = []
     for n in numbers:
         theta = np.resize(angles, n)
         contact = np.stack([np.full(n, radial_distance), theta], axis=-1)[:, : observer.bounded]
@@ -359,6 +361,6 @@ def touches_jnd(
         sds = [touches(observer, observer.read(contact, rng)).sd for _ in range(n_readings)]
         error = np.std(sds, ddof=1) / np.sqrt(n_readings)
         fisher = _fisher_of_all(observer, contact)
-        rows.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
+        records.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
     lengths = ["posterior", "posterior_error", "fisher", "root_n"]
-    return with_units(pd.DataFrame(rows, columns=["count", *lengths]), lengths)
+    return with_units(pd.DataFrame(records, columns=["count", *lengths]), lengths)

@@ -139,20 +139,21 @@ def is_linear(observer: Observer, contact: ArrayLike) -> Flags:
     """
     contact = observer.checked(contact)
     covariance = _propagated(observer, contact, observer.solver)
-    known = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
+    is_finite = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
     further = np.arange(contact.shape[-1]) >= observer.bounded  # these may be 0 or negative
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    unit = np.fmax(_contact_scale(contact), np.where(further & known[..., None], sd, 0.0))
-    scaled = covariance / (unit[..., :, None] * unit[..., None, :])
-    size, axes = np.linalg.eigh(np.where(known[..., None, None], scaled, np.eye(unit.shape[-1])))
+    unit = np.fmax(_contact_scale(contact), np.where(further & is_finite[..., None], sd, 0.0))
+    rescaled = covariance / (unit[..., :, None] * unit[..., None, :])
+    rescaled = np.where(is_finite[..., None, None], rescaled, np.eye(unit.shape[-1]))
+    size, axes = np.linalg.eigh(rescaled)
     step = np.swapaxes(axes * np.sqrt(np.maximum(size, 0.0))[..., None, :], -1, -2)
     step = np.stack([step, -step], axis=-2) * unit[..., None, None, :]
     least = np.where(further, -np.inf, 1e-3 * np.abs(contact))[..., None, None, :]
     around = np.maximum(contact[..., None, None, :] + step, least)
-    at = np.where(known, np.sqrt(np.maximum(covariance[..., 0, 0], 0.0)), 1.0)
+    at = np.where(is_finite, np.sqrt(np.maximum(covariance[..., 0, 0], 0.0)), 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = weber_propagation(observer, around).mean(axis=-1) / at[..., None]
-    return np.asarray(known & ((ratio > 0.5) & (ratio < 2)).all(axis=-1))
+    return np.asarray(is_finite & ((ratio > 0.5) & (ratio < 2)).all(axis=-1))
 
 
 def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
@@ -164,15 +165,15 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
     if not linear.any():
         return np.full((*contact.shape, contact.shape[-1]), np.nan)
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
-    held = np.asarray(outcome == Outcome.HELD)
-    signals = np.where(held[..., None], signals, 1.0)
+    in_contact = np.asarray(outcome == Outcome.HELD)
+    signals = np.where(in_contact[..., None], signals, 1.0)
     of_cue = observer.cue.jacobian(observer.whisker, contact, model=model)
     slope = (observer.noise.jacobian(signals) @ of_cue)[..., linear, :]
     covariance = observer.noise.covariance(signals)[..., linear, :][..., linear]
     if observer.bounded < contact.shape[-1]:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    if np.any((sd == 0) & held[..., None]):
+    if np.any((sd == 0) & in_contact[..., None]):
         raise Refusal(
             "A signal without noise leaves no JND",
             f"one in {observer.noise!r} where the signal is 0",
@@ -180,10 +181,11 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
         )
     unit = _contact_scale(contact)
     # Rescaled by the noise and the contact, so that a small determinant means singular.
-    scaled = np.where(held[..., None, None], slope / sd[..., None] * unit[..., None, :], 0.0)
+    rescaled = slope / sd[..., None] * unit[..., None, :]
+    rescaled = np.where(in_contact[..., None, None], rescaled, 0.0)
     correlation = covariance / (sd[..., :, None] * sd[..., None, :])
-    if scaled.shape[-1] == scaled.shape[-2]:
-        inverse = _inverse(scaled)
+    if rescaled.shape[-1] == rescaled.shape[-2]:
+        inverse = _inverse(rescaled)
         lost = np.isinf(inverse)
         inverse = np.where(lost, 0.0, inverse)
         variance = inverse @ correlation @ np.swapaxes(inverse, -1, -2)
@@ -196,10 +198,10 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
                 f"{observer.noise!r}",
                 "write a correlation between -1 and 1",
             )
-        information = np.swapaxes(scaled, -1, -2) @ np.linalg.inv(correlation) @ scaled
+        information = np.swapaxes(rescaled, -1, -2) @ np.linalg.inv(correlation) @ rescaled
         variance = _inverse(information)
-    held = held[..., None, None]
-    return np.where(held, variance * unit[..., :, None] * unit[..., None, :], np.nan)
+    in_contact = in_contact[..., None, None]
+    return np.where(in_contact, variance * unit[..., :, None] * unit[..., None, :], np.nan)
 
 
 def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
@@ -223,9 +225,9 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     unit = _contact_scale(contact)
     information = observer.information(contact) + observer.prior_information(contact)
     information = information * unit[..., :, None] * unit[..., None, :]
-    held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
-    variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
-    return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+    is_finite = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
+    variance = _inverse(np.where(is_finite[..., None, None], information, 0.0))[..., 0, 0]
+    return np.where(is_finite, np.sqrt(variance) * unit[..., 0], np.nan)
 
 
 def _with_priors(
@@ -250,12 +252,13 @@ def _contact_scale(contact: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     """Inverses (..., n, n); all infinite where the rescaled determinant is 1e-9 or less."""
-    rows = _length(matrix, -1)
-    columns = _length(matrix / rows, -2)
-    scaled = matrix / rows / columns
-    singular = np.abs(np.linalg.det(scaled)) <= 1e-9
-    safe = np.where(singular[..., None, None], np.eye(matrix.shape[-1]), scaled)
-    inverse = np.linalg.inv(safe) / np.swapaxes(rows, -1, -2) / np.swapaxes(columns, -1, -2)
+    row_lengths = _length(matrix, -1)
+    column_lengths = _length(matrix / row_lengths, -2)
+    rescaled = matrix / row_lengths / column_lengths
+    singular = np.abs(np.linalg.det(rescaled)) <= 1e-9
+    safe = np.where(singular[..., None, None], np.eye(matrix.shape[-1]), rescaled)
+    inverse = np.linalg.inv(safe)
+    inverse = inverse / np.swapaxes(row_lengths, -1, -2) / np.swapaxes(column_lengths, -1, -2)
     return np.where(singular[..., None, None], np.inf, inverse)
 
 
