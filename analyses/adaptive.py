@@ -64,7 +64,7 @@ class Constant(TrialLog):
     def next(self, standard: float | None = None) -> Proposal:
         at = self._rng.integers(self._cells.n.size)
         s1, s2 = self._cells.stimulus_1[at], self._cells.stimulus_2[at]
-        return Proposal(len(self._rows) + 1, float(s1), float(s2))
+        return Proposal(len(self._recorded) + 1, float(s1), float(s2))
 
     def _encode(self, pair: tuple[float, float, float]) -> None:
         """Stimuli of a scheme can be encoded."""

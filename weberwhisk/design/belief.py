@@ -54,8 +54,8 @@ class Axes:
         counts = [21, 14, 14, *[21] * model.n_groups]
         free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
         k, low, high, *biases = (
-            np.linspace(end[0], end[1], count) if own else np.zeros(1)
-            for end, count, own in zip(ends, counts, free, strict=True)
+            np.linspace(end[0], end[1], count) if is_free else np.zeros(1)
+            for end, count, is_free in zip(ends, counts, free, strict=True)
         )
         return cls(k, low, high, tuple(biases))
 
@@ -101,7 +101,7 @@ class BeliefGrid:
     def close(self) -> None:
         """From logarithms to likelihoods; and the answers to all pairs that may be put."""
         of_group = [self.model.encodings.of(self.model.group == g) for g in range(len(self._logs))]
-        self.up = [self._sides(own, g)[0] for g, own in enumerate(of_group)]
+        self.up = [self._sides(encodings, g)[0] for g, encodings in enumerate(of_group)]
         self.log = [float(log.max()) for log in self._logs]
         self.values = [
             np.exp(log - top).astype(float) for log, top in zip(self._logs, self.log, strict=True)
@@ -147,8 +147,8 @@ class Belief:
     def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis, self._candidates = hypothesis, candidates
         # The coordinates of the lapses are made for 8 trials; with 100 errors are the same.
-        few = np.full(candidates.n.size, 8 / candidates.n.size)
-        model = hypothesis.model(replace(candidates, n=few))
+        eight_trials = np.full(candidates.n.size, 8 / candidates.n.size)
+        model = hypothesis.model(replace(candidates, n=eight_trials))
         self._seen: dict[Pair, list[float]] = {}
         self._encoded: dict[Pair, UnitEncodings] = {
             pair: model.encodings.of(np.array([i])) for i, pair in enumerate(_pairs(candidates))
@@ -250,16 +250,16 @@ class Belief:
         axes = self.axes
         sheet = self._joint.sum(axis=0).reshape(axes.low.size, axes.high.size)
         far = np.array([-FAR, FAR])
-        found = [_fitted(*one) for one in [
+        refitted = [_fitted(*one) for one in [
             (axes.k, self.mass_k, far),
             (axes.low, sheet.sum(axis=1), self._grid.lapse_ends[0]),
             (axes.high, sheet.sum(axis=0), self._grid.lapse_ends[1]),
             *((b, m[..., 0].sum(axis=0), far)
               for b, m in zip(axes.bias, self._moments, strict=True)),
         ]]  # fmt: skip
-        if all(serves for serves, _ in found):
+        if all(serves for serves, _ in refitted):
             return None
-        k, low, high, *bias = (better for _, better in found)
+        k, low, high, *bias = (better for _, better in refitted)
         return Axes(k, low, high, tuple(bias))
 
 

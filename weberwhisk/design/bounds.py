@@ -29,13 +29,13 @@ def least_half_widths(
         size=(runs, animals)
     )
     middle, variance = log_k.mean(axis=1), log_k.var(axis=1)
-    spread, log_spread = spread_nodes(60)
+    sds, log_spread = spread_nodes(60)
     # As many sds of the mean as the tails of an unknown spread have.
     away = np.sqrt((variance[:, None] + 1e-12) / animals) * np.linspace(-12, 12, 241)
     square = variance[:, None] + 1e-12 + away**2
     # The likelihood of the mean depends on that square alone.
     table = np.geomspace(square.min(), square.max(), 500)
-    log_like = -animals * (np.log(spread) + table[:, None] / (2 * spread**2))
+    log_like = -animals * (np.log(sds) + table[:, None] / (2 * sds**2))
     log_like = logsumexp(log_like + log_spread, axis=1)
     density = np.interp(np.log(square), np.log(table), log_like)
     density = np.exp(density - density.max(axis=1, keepdims=True))

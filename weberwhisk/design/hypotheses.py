@@ -179,10 +179,10 @@ def taper(whisker: Whisker, *, unit: float = 1.0, **options: Any) -> tuple[Hypot
             f"thick as its base ({whisker.base_radius:g} m)",
             remedy="give one whose tip is thinner",
         )
-    one, other = (
+    tapered, cylinder = (
         CueEncoding(Observer(w, Compliance()), unit=unit) for w in (whisker, whisker.cylinder())
     )
-    return Hypothesis("tapered", one, **options), Hypothesis("cylindrical", other, **options)
+    return Hypothesis("tapered", tapered, **options), Hypothesis("cylindrical", cylinder, **options)
 
 
 def cues(
@@ -207,11 +207,11 @@ def cues(
     ['compliance', 'moment–axial-force map']
     """
     _check_whisker(whisker)
-    one = CueEncoding(Observer(whisker, Compliance()), unit=unit)
-    other = CueEncoding(Observer(whisker, ForceMap()), deflection_angle, unit)
+    compliance = CueEncoding(Observer(whisker, Compliance()), unit=unit)
+    force_map = CueEncoding(Observer(whisker, ForceMap()), deflection_angle, unit)
     return (
-        Hypothesis("compliance", one, **options),
-        Hypothesis("moment–axial-force map", other, **options),
+        Hypothesis("compliance", compliance, **options),
+        Hypothesis("moment–axial-force map", force_map, **options),
     )
 
 
@@ -364,13 +364,13 @@ def check_task(task: str) -> None:
 
 def check_answers(trials: Trials, task: str, animals: int) -> None:
     """Refuses trials of another question than was planned, and several animals without names."""
-    asked = trials.task.name
-    if asked != task and not any(
-        {asked, task} <= {*alike} for alike in (TWO_STIMULI, ONE_STIMULUS)
+    trials_task = trials.task.name
+    if trials_task != task and not any(
+        {trials_task, task} <= {*tasks} for tasks in (TWO_STIMULI, ONE_STIMULUS)
     ):
         raise Refusal(
             f"{trials.source}: the plan is of {task}",
-            f"trials of {asked}",
+            f"trials of {trials_task}",
             f"write ww.read_trials(table, task={task!r})",
         )
     if animals > 1 and not trials.subjects:

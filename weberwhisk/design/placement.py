@@ -67,7 +67,7 @@ class TrialLog(Line):
             "scheme", scheme, "a Scheme", "offsets", "write ww.design.lattice(encoding, 20e-3), say"
         )
         self.scheme, self.seed = scheme, seed
-        self._rows: list[tuple[float, float, float, float]] = []
+        self._recorded: list[tuple[float, float, float, float]] = []
         self._proposal: Proposal | None = None
 
     def _line(self) -> str:
@@ -77,13 +77,13 @@ class TrialLog(Line):
     @property
     def n_trials(self) -> int:
         """Trials with an answer."""
-        return sum(1 for row in self._rows if not np.isnan(row[3]))
+        return sum(1 for row in self._recorded if not np.isnan(row[3]))
 
     @property
     def finished(self) -> str:
         """Why there are trials enough; empty where there are not."""
-        if self.most is not None and len(self._rows) >= self.most:
-            return f"{counted(len(self._rows), 'trial')}, as many as wanted"
+        if self.most is not None and len(self._recorded) >= self.most:
+            return f"{counted(len(self._recorded), 'trial')}, as many as wanted"
         return ""
 
     def next(self, standard: float | None = None) -> Proposal:
@@ -94,17 +94,17 @@ class TrialLog(Line):
         standard : float, optional
             One of the scheme's, where the order of the standards is yours.
         """
-        known = self._proposal
-        if known is None or standard not in (None, known.standard):
+        proposal = self._proposal
+        if proposal is None or standard not in (None, proposal.standard):
             if standard is not None and standard not in self.scheme.standards:
                 raise Refusal(
                     f"the scheme has no standard {standard:g}",
                     remedy=(f"choose one of {', '.join(f'{s:g}' for s in self.scheme.standards)}"),
                 )
-            number = len(self._rows) + 1
+            number = len(self._recorded) + 1
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
-            self._proposal = known = self._choose(number, rng, standard)
-        return known
+            self._proposal = proposal = self._choose(number, rng, standard)
+        return proposal
 
     def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
         raise NotImplementedError
@@ -152,7 +152,7 @@ class TrialLog(Line):
         """
         pair = self.check(standard, comparison, choice, nominal)
         missing = choice is None or choice != choice
-        self._rows.append((*pair, np.nan if missing else float(choice)))
+        self._recorded.append((*pair, np.nan if missing else float(choice)))
         self._proposal = None  # another is to be chosen then
         if not missing:
             self._learn(pair, int(choice))
@@ -165,7 +165,7 @@ class TrialLog(Line):
 
         The standard of a trial is the scheme's nearest to stimulus 1, unless one was given.
         """
-        s1, s2, standard, count = np.array(self._rows, dtype=float).reshape(-1, 4).T
+        s1, s2, standard, count = np.array(self._recorded, dtype=float).reshape(-1, 4).T
         frame = pd.DataFrame({"session": 1, "trial": np.arange(count.size) + 1})
         frame = frame.assign(standard=standard, stimulus_1=s1, stimulus_2=s2, n=1, count=count)
         encoding = self.hypotheses[0].encoding
@@ -301,8 +301,8 @@ class BayesianPlacer(TrialLog):
         elif self.goal == "everything":
             left = chance @ np.array([b.entropy_of_all() for b in beliefs])
         else:
-            known = [b.mass_k @ entropy(p) for b, p in zip(beliefs, given_k, strict=True)]
-            whole, left = chance @ entropy(given), chance @ np.array(known)
+            entropy_given_k = [b.mass_k @ entropy(p) for b, p in zip(beliefs, given_k, strict=True)]
+            whole, left = chance @ entropy(given), chance @ np.array(entropy_given_k)
         return np.asarray(np.maximum(whole - left, 0.0) / np.log(2))
 
     def _encode(self, pair: Pair) -> None:

@@ -90,8 +90,8 @@ class AnalysisResult(Shown):
 
     def of(self, hypothesis: str) -> pd.DataFrame:
         """The estimates under one hypothesis."""
-        rows = self.estimates["hypothesis"] == hypothesis
-        return self.estimates[rows].reset_index(drop=True)
+        of_hypothesis = self.estimates["hypothesis"] == hypothesis
+        return self.estimates[of_hypothesis].reset_index(drop=True)
 
     def _line(self) -> str:
         return f"{' '.join(self._conclusion())} {counted(self.trials.n_trials, 'trial')}"
@@ -106,21 +106,21 @@ class AnalysisResult(Shown):
         data = f"{counted(trials.n_trials, 'trial')} with an answer of {animals}"
         if plan is not None:
             data += f", analysed as planned; {plan.scheme.total_trials} were planned"
-        found = []
+        sentences = []
         for row in self.estimates.to_dict("records"):
             k = interval_text(row["weber_fraction"], row["lower"], row["upper"])
             said = FitStatus[row["status"]].message
-            found.append(f"{row['hypothesis']}, {row['subject']}: k = {k}; {said}.")
+            sentences.append(f"{row['hypothesis']}, {row['subject']}: k = {k}; {said}.")
         if self.left_out:
-            found.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
-        parts = {
+            sentences.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
+        sections = {
             "Data": [f"{data}.", *trials.notes],
-            "Weber fraction": found,
+            "Weber fraction": sentences,
             "Conclusion": self._conclusion(),
             "Software": [f"{versions_in_words('numpy', 'scipy')}."],
         }
         title = "" if plan is None else f"{plan.title}\n\n"
-        return title + paragraphs({head: said for head, said in parts.items() if said})
+        return title + paragraphs({head: said for head, said in sections.items() if said})
 
     def _conclusion(self) -> list[str]:
         goal = None if self.plan is None else self.plan.goal
@@ -188,18 +188,18 @@ def analyse(
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)
     given = check_distinct(hypotheses)
-    return (_pooled if together else _apart)(trials, given, check)
+    return (_pooled if together else _each_animal)(trials, given, check)
 
 
-def _apart(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
-    rows: list[dict[str, Any]] = []
+def _each_animal(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
+    estimates: list[dict[str, Any]] = []
     every: list[WeberFit] = []
     evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
     left_out = []
     for subject in trials.subjects or ["s1"]:
-        own = trials.select(subject=subject) if trials.subjects else trials
-        fits = [h.fit(own) for h in hypotheses]
-        rows += [
+        answers = trials.select(subject=subject) if trials.subjects else trials
+        fits = [h.fit(answers) for h in hypotheses]
+        estimates += [
             _row(h, str(subject), fit, fit.status if check else fit.unchecked)
             for h, fit in zip(hypotheses, fits, strict=True)
         ]
@@ -210,7 +210,7 @@ def _apart(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> Ana
         for h, fit in zip(hypotheses, fits, strict=True):
             evidence[h.name].append(fit.log_evidence)
     total = {name: float(np.sum(np.array(values, float))) for name, values in evidence.items()}
-    return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out), trials, every)
+    return AnalysisResult(pd.DataFrame(estimates), total, tuple(left_out), trials, every)
 
 
 def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
@@ -230,12 +230,12 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> An
     kept = [s for s in trials.subjects if str(s) not in left_out]
     for h in hypotheses:  # all of them weigh the same animals
         if len(bad[h.name]) < len(left_out) and kept:
-            some = trials.select(subject=kept)
-            fits[h.name] = fit_population(some, check=check, **options_of(h))
-    rows = [_row(h, "population", fits[h.name], fits[h.name].status) for h in hypotheses]
+            subset = trials.select(subject=kept)
+            fits[h.name] = fit_population(subset, check=check, **options_of(h))
+    estimates = [_row(h, "population", fits[h.name], fits[h.name].status) for h in hypotheses]
     evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
     return AnalysisResult(
-        pd.DataFrame(rows), evidence, tuple(left_out), trials, list(fits.values())
+        pd.DataFrame(estimates), evidence, tuple(left_out), trials, list(fits.values())
     )
 
 
@@ -370,8 +370,8 @@ class Plan(Shown):
         n, share = frame["n"].to_numpy(), (frame["count"] / frame["n"]).to_numpy()
         low, high = (binom.ppf(q, n, share) / n for q in (0.025, 0.975))
         named = {"standard": frame["standard"], "comparison": frame["stimulus_2"], "n": n}
-        found = pd.DataFrame({**named, "expected": share, "lower": low, "upper": high})
-        return _in_mm(found, "standard", "comparison")
+        table = pd.DataFrame({**named, "expected": share, "lower": low, "upper": high})
+        return _in_mm(table, "standard", "comparison")
 
     @cached_property
     def curves(self) -> pd.DataFrame:
@@ -379,11 +379,11 @@ class Plan(Shown):
 
         Columns `hypothesis`, `standard_mm`, `comparison_mm`, `median`, `lower`, `upper`.
         """
-        parts = []
+        tables = []
         for name, fit in self.expected_fits:
             for standard in fit.standards:
-                own = fit.trials.frame.query("standard == @standard")["stimulus_2"]
-                low, high = own.min(), own.max()
+                comparisons = fit.trials.frame.query("standard == @standard")["stimulus_2"]
+                low, high = comparisons.min(), comparisons.max()
                 margin = 0.1 * (high - low) or 0.05 * standard
                 first, last = fit.encoding.domain
                 start = max(low - margin, first + 0.02 * (low - first))
@@ -391,8 +391,8 @@ class Plan(Shown):
                 curve = fit.psychometric(np.linspace(start, end, 81), float(standard))
                 curve.insert(0, "standard", float(standard))
                 curve.insert(0, "hypothesis", name)
-                parts.append(curve)
-        return _in_mm(pd.concat(parts, ignore_index=True), "standard", "comparison")
+                tables.append(curve)
+        return _in_mm(pd.concat(tables, ignore_index=True), "standard", "comparison")
 
     @cached_property
     def jnds(self) -> pd.DataFrame:
@@ -414,12 +414,12 @@ class Plan(Shown):
 
         Columns `standard_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`, `status`.
         """
-        parts = []
+        tables = []
         for standard in self.expected_trials.standards:
             fit = self.hypotheses[0].fit(self.expected_trials.select(standard=float(standard)))
-            own = _jnds(fit, "standard", np.array([float(standard)]))
-            parts.append(own.assign(status=fit.status.name))
-        return pd.concat(parts, ignore_index=True)
+            jnd = _jnds(fit, "standard", np.array([float(standard)]))
+            tables.append(jnd.assign(status=fit.status.name))
+        return pd.concat(tables, ignore_index=True)
 
     def analyse(self, trials: Trials, *, unit: float = 1.0, check: bool = True) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
@@ -434,8 +434,8 @@ class Plan(Shown):
                     "stimulus_1_mm and the like"
                 ),
             )
-        found = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
-        return replace(found, plan=self)
+        result = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
+        return replace(result, plan=self)
 
     def _line(self) -> str:
         scheme = self.scheme
@@ -476,11 +476,11 @@ def _jnds(fit: WeberFit, name: str, at: Array, criterion: str = "75% 2AFC") -> p
     unit = criterion_factor(criterion) * difference_sd(fit.encoding, at) / np.sqrt(2.0)
     low, high = fit.interval(0.95)
     jnd = {"jnd": fit.weber_fraction * unit, "lower": low * unit, "upper": high * unit}
-    found = pd.DataFrame({name: at, **jnd, "criterion": criterion})
-    return _in_mm(found, name, "jnd", "lower", "upper")
+    table = pd.DataFrame({name: at, **jnd, "criterion": criterion})
+    return _in_mm(table, name, "jnd", "lower", "upper")
 
 
 def _in_mm(table: pd.DataFrame, *lengths: str) -> pd.DataFrame:
     """A table in mm, as the trial lists have them; the names of its columns then say so."""
-    found = table.assign(**{name: millimetres(table[name]) for name in lengths})
-    return found.rename(columns={name: f"{name}_mm" for name in lengths})
+    converted = table.assign(**{name: millimetres(table[name]) for name in lengths})
+    return converted.rename(columns={name: f"{name}_mm" for name in lengths})

@@ -106,13 +106,13 @@ def plain(value: Any) -> Any:
         raise Refusal(
             f"{value!r} cannot be written to a plan", remedy=f"make it of {', '.join(CLASSES)}"
         )
-    parts = {name: getattr(value, name) for name in _kept(kind)}
+    fields = {name: getattr(value, name) for name in _kept(kind)}
     if kind is Observer and value != replace(value, prior={}, tolerance=0.1):
         raise Refusal(
             f"{value!r} has a prior or a tolerance of its own, which a plan does not keep",
             remedy="leave it out",
         )
-    return {"is": kind.__name__} | {name: plain(part) for name, part in parts.items()}
+    return {"is": kind.__name__} | {name: plain(part) for name, part in fields.items()}
 
 
 def _kept(kind: type) -> list[str]:
@@ -155,26 +155,26 @@ def _reader() -> Converter:
         made = CLASSES.get(str(value.get("is"))) if isinstance(value, dict) else None
         if made is None or made not in CHOICES.get(kind, (kind,)):
             raise Refusal(f"{checks.shown(value)} is no {kind.__name__}")
-        parts = {name: part for name, part in value.items() if name != "is"}
-        for strange in parts.keys() ^ set(_kept(made)):
-            words = "has nothing called" if strange in parts else "lacks"
+        fields = {name: part for name, part in value.items() if name != "is"}
+        for strange in fields.keys() ^ set(_kept(made)):
+            words = "has nothing called" if strange in fields else "lacks"
             raise Refusal(f"{made.__name__} {words} {strange!r}")
         types = get_type_hints(made, localns=CLASSES)
-        found = {}
-        for name, part in parts.items():
+        arguments = {}
+        for name, part in fields.items():
             try:
-                found[name] = reader.structure(part, types[name])
+                arguments[name] = reader.structure(part, types[name])
             except Exception as error:
                 raise Refusal(f"{name} of {made.__name__}: {_in_words(error)}") from None
         try:
-            return cues.Fused(*found["cues"]) if made is cues.Fused else made(**found)
+            return cues.Fused(*arguments["cues"]) if made is cues.Fused else made(**arguments)
         except (TypeError, OverflowError) as error:
             raise Refusal(f"{made.__name__} cannot be made of these ({error})") from None
 
     def identity(value: Any, kind: type) -> Any:
         types = get_type_hints(kind).values()
-        parts = zip(value, types, strict=True)
-        return kind(*(reader.structure(part, own) for part, own in parts))
+        pairs = zip(value, types, strict=True)
+        return kind(*(reader.structure(part, component_type) for part, component_type in pairs))
 
     for kind in (int, str, bool):
         reader.register_structure_hook(kind, exact)
@@ -219,10 +219,10 @@ def _frozen(value: dict[str, Any]) -> Any:
     try:
         made = distribution(*numbers, **named)
         with np.errstate(all="ignore"):
-            found = made.ppf([0.02, 0.5, 0.98])
+            quantiles = made.ppf([0.02, 0.5, 0.98])
     except (TypeError, ValueError) as error:
         raise Refusal(f"{name} cannot be made of {args} and {kwds} ({error})") from None
-    if not (np.isfinite(found).all() and np.all(np.diff(found) > 0)):
+    if not (np.isfinite(quantiles).all() and np.all(np.diff(quantiles) > 0)):
         raise Refusal(f"{name} has no quantiles with {args} and {kwds}")
     return made
 
@@ -310,13 +310,13 @@ def _table(columns: Any) -> pd.DataFrame | None:
     needed = {"truth", "trials", "animals", "power", "lower", "upper"}
     if not isinstance(columns, dict) or needed - columns.keys():
         raise Refusal("power must have columns truth, trials, animals, power, lower and upper")
-    found: dict[str, list[Any]] = {
+    power: dict[str, list[Any]] = {
         name: _reader().structure(values, list[str] if name == "truth" else list[float])
         for name, values in columns.items()
     }
-    if len({len(column) for column in found.values()}) != 1:
+    if len({len(column) for column in power.values()}) != 1:
         raise Refusal("columns of power must be equally long")
-    return pd.DataFrame(found)
+    return pd.DataFrame(power)
 
 
 # -- in words --------------------------------------------------------------------------------------
@@ -369,9 +369,9 @@ def preregistration(plan: Plan) -> str:
     )
     counts = sorted({n for row in scheme.trials for n in row})
     times = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
-    asked = "Which of these observers makes the choices"
+    opening = "Which of these observers makes the choices"
     if len(given) == 1:
-        asked = "How large is the Weber fraction k of this observer"
+        opening = "How large is the Weber fraction k of this observer"
     question, unit, order = (
         "which of two radial distances is the farther",
         "pair",
@@ -388,8 +388,8 @@ def preregistration(plan: Plan) -> str:
     if len({*fitted.values()}) == 1:
         analysis = fitted[given[0].name]
     over = "" if plan.together or number == 1 else ", multiplied over animals"
-    parts = {
-        "Question and hypotheses": f"{asked}? {encoded}. Each compares two noisy signals, whose "
+    sections = {
+        "Question and hypotheses": f"{opening}? {encoded}. Each compares two noisy signals, whose "
         "sds go with k.",
         "Design": f"Task: {task}, {question}. Method of constant stimuli. Standards and "
         f"comparisons: {levels}. Every pair is shown {times} times to each animal: "
@@ -411,7 +411,7 @@ def preregistration(plan: Plan) -> str:
         "Files": f"weberwhisk {__version__}; plan.json makes these lists again (SHA-256 "
         f"{plan.fingerprint[:16]}…), and `weberwhisk rehearse plan.json` simulates the whole.",
     }
-    text = paragraphs({heading: [said] for heading, said in parts.items()}, 92)
+    text = paragraphs({heading: [said] for heading, said in sections.items()}, 92)
     return f"{plan.title}\n\n{text}"
 
 

@@ -56,10 +56,10 @@ class Power(Shown):
 
     def report(self) -> str:
         """The table in words: a paragraph for each truth, a sentence for each size."""
-        parts = {"Goal": [f"{self.goal}."]}
-        for truth, own in self.table.groupby("truth", sort=False):
-            parts[f"If {truth} is true"] = said = []
-            for row in own.to_dict("records"):
+        sections = {"Goal": [f"{self.goal}."]}
+        for truth, of_truth in self.table.groupby("truth", sort=False):
+            sections[f"If {truth} is true"] = said = []
+            for row in of_truth.to_dict("records"):
                 wrong = (
                     "" if "wrong" not in row else f", the opposite in {100 * row['wrong']:.3g} %"
                 )
@@ -76,7 +76,7 @@ class Power(Shown):
                         "Caution: the animals are not as the priors have them. Give other priors, "
                         "with_priors(hypotheses, lapse_low=...), or wider levels."
                     )
-        return paragraphs(parts)
+        return paragraphs(sections)
 
 
 def power(
@@ -155,12 +155,14 @@ def power(
     likely = SubjectPopulation() if expected is None else expected
     checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
     sizes: list[list[Any]] = []
-    for name, given_sizes, own in (
+    for name, given_sizes, scheme_size in (
         ("trials", trials, max(map(max, scheme.trials))),
         ("animals", animals, scheme.animals),
     ):
-        some = [own] if given_sizes is None else checks.several(name, given_sizes, "write [20]")
-        sizes.append([checks.number(name, size, "write 20, say") for size in some])
+        requested = [scheme_size]
+        if given_sizes is not None:
+            requested = checks.several(name, given_sizes, "write [20]")
+        sizes.append([checks.number(name, size, "write 20, say") for size in requested])
     named: list[Any] = [h.name for h in given]
     if truths is not None:
         named = checks.several("truths", truths, f"write {named}, say")
@@ -261,30 +263,30 @@ def smallest(
     # Sizes at most: to where the goal lies between two, to a twentieth of it, and twice in the end.
     sizes = np.ceil(np.log2(max(end / start, start))) + 7
 
-    def visit(own: Scheme, runs: int, *seeds: int) -> Power:
+    def visit(sized_scheme: Scheme, runs: int, *seeds: int) -> Power:
         root = np.random.SeedSequence([seed, *seeds])
-        count = len(_chunks(own, "", runs)) * len(options.get("truths") or given)
-        how = options | {"progress": lambda done: told(done / count)}
-        return power(own, given, goal=aim, runs=runs, seed=root, **how)
+        count = len(_chunks(sized_scheme, "", runs)) * len(options.get("truths") or given)
+        how = options | {"progress": lambda done: advance(done / count)}
+        return power(sized_scheme, given, goal=aim, runs=runs, seed=root, **how)
 
     def enough(animals: int) -> int:
         return runs if animals == 1 else min(runs, max(96, 8192 // animals))
 
     def reached(size: int) -> bool:
         if size not in visited:
-            own = sized(scheme, vary, size)
+            sized_scheme = sized(scheme, vary, size)
             # Where the goal is far, few runs of several animals settle a size.
-            whole = enough(own.animals)
-            few = whole if own.animals == 1 else min(96, whole)
-            found = visit(own, few, size)
-            if few < whole and not _clear(found):
-                found = _joined([found, visit(own, whole - few, size, 1)])
-            visited[size] = found
+            whole = enough(sized_scheme.animals)
+            first_runs = whole if sized_scheme.animals == 1 else min(96, whole)
+            result = visit(sized_scheme, first_runs, size)
+            if first_runs < whole and not _clear(result):
+                result = _joined([result, visit(sized_scheme, whole - first_runs, size, 1)])
+            visited[size] = result
         return bool(visited[size].table["power"].min() >= aim.share)
 
     own_way = options.get("progress")
     bar = nullcontext(own_way) if own_way else output.shown("Smallest design", float(sizes))
-    with bar as told:
+    with bar as advance:
         low, high = 0, start
         while not reached(high):
             if high == end:
@@ -302,11 +304,11 @@ def smallest(
         return scheme, _joined(list(visited.values()))
 
 
-def _clear(found: Power, sure: float = 0.99) -> bool:
+def _clear(result: Power, confidence: float = 0.99) -> bool:
     """Whether these runs leave no doubt on which side of the goal's share the power lies."""
-    shares = zip(found.table["power"], found.table["runs"], strict=True)
-    low, high = np.array([wilson(share, n, sure) for share, n in shares]).T
-    return bool(low.min() > found.goal.share or high.min() < found.goal.share)
+    shares = zip(result.table["power"], result.table["runs"], strict=True)
+    low, high = np.array([wilson(share, n, confidence) for share, n in shares]).T
+    return bool(low.min() > result.goal.share or high.min() < result.goal.share)
 
 
 def _chunks(scheme: Scheme, truth: str, runs: int) -> list[dict[str, Any]]:
@@ -316,10 +318,10 @@ def _chunks(scheme: Scheme, truth: str, runs: int) -> list[dict[str, Any]]:
     return [common | {"runs": min(size, runs - i)} for i in range(0, runs, size)]
 
 
-def _joined(found: list[Power]) -> Power:
-    runs = pd.concat([p.runs for p in found], ignore_index=True)
-    table = summary(runs, found[0].goal).sort_values(BY).reset_index(drop=True)
-    return Power(found[0].goal, table, runs)
+def _joined(results: list[Power]) -> Power:
+    runs = pd.concat([p.runs for p in results], ignore_index=True)
+    table = summary(runs, results[0].goal).sort_values(BY).reset_index(drop=True)
+    return Power(results[0].goal, table, runs)
 
 
 def share_in_words(row: Any) -> str:
@@ -329,21 +331,21 @@ def share_in_words(row: Any) -> str:
 
 
 def _met(row: Any, share: float) -> str:
-    wanted = f"the {100 * share:.3g} % asked for"
+    goal_text = f"the {100 * share:.3g} % asked for"
     if row["lower"] > share:
-        return f"more than {wanted}"
+        return f"more than {goal_text}"
     if row["upper"] < share:
-        return f"less than {wanted}"
-    return f"not distinguishable from {wanted} by so many runs"
+        return f"less than {goal_text}"
+    return f"not distinguishable from {goal_text} by so many runs"
 
 
-def _out_of_reach(found: Power, vary: str, most: int) -> str:
-    row = found.table.sort_values("power").iloc[0]
+def _out_of_reach(result: Power, vary: str, most: int) -> str:
+    row = result.table.sort_values("power").iloc[0]
     what = "trials a comparison" if vary == "trials" else "animals"
     return (
-        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is "
+        f"no design of up to {most} {what} reaches {result.goal}: with {most} it is "
         f"{share_in_words(row)} where {row['truth']} is true, "
-        f"{100 * (found.goal.share - row['power']):.3g} % short; set the standards farther apart, "
+        f"{100 * (result.goal.share - row['power']):.3g} % short; set the standards farther apart, "
         "take more of them or of animals, or ask for less."
     )
 
@@ -360,17 +362,17 @@ def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
 def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
     """`Power.table` from single runs."""
     met = goal.is_reached(runs)
-    rows = []
-    for key, own in runs.groupby(BY, sort=False):
-        share = float(met[own.index].mean())
-        lower, upper = wilson(share, len(own))
+    summaries = []
+    for key, group in runs.groupby(BY, sort=False):
+        share = float(met[group.index].mean())
+        lower, upper = wilson(share, len(group))
         row = dict(zip(BY, key, strict=True)) | {
-            "runs": len(own), "power": share, "lower": lower, "upper": upper,
+            "runs": len(group), "power": share, "lower": lower, "upper": upper,
         }  # fmt: skip
         for name in ("half_width", "log_bayes_factor"):
-            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
+            low, middle, high = group[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
             row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
-        off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
-        row |= {"bias": off, "coverage": own["covers"].mean()}
-        rows.append(row | goal.power_columns(own))
-    return pd.DataFrame(rows)
+        off = float((group["estimate"] / group["weber_fraction"]).median() - 1)
+        row |= {"bias": off, "coverage": group["covers"].mean()}
+        summaries.append(row | goal.power_columns(group))
+    return pd.DataFrame(summaries)

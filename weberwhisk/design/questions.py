@@ -165,15 +165,15 @@ def plan_experiment(
             "hypotheses and one of these",
             "leave one out",
         )
-    wanted = _what_to_find(find, trials is not None or scheme is not None)
-    own: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
+    to_vary = _what_to_find(find, trials is not None or scheme is not None)
+    settings: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
         if scheme is not None or standards is not None:
             raise Refusal(
                 argument("best", True) + " chooses the standards",
                 remedy="leave scheme and standards out",
             )
-        scheme = best_scheme(given, **own, expected=likely, animals=animals)
+        scheme = best_scheme(given, **settings, expected=likely, animals=animals)
         scheme = scheme if trials is None else scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
@@ -182,30 +182,30 @@ def plan_experiment(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
-    own |= {
+    settings |= {
         "hypotheses": given, "animals": likely, "trials_per_session": trials_per_session,
         "longest_run": longest_run, "title": title,
     }  # fmt: skip
     # Refuses what cannot be shown before anything is computed.
-    Plan(scheme, **own, together=bool(together))
+    Plan(scheme, **settings, together=bool(together))
     options: dict[str, Any] = {
         "goal": aim, "expected": likely, "runs": runs, "workers": workers, "scheduler": scheduler,
         "progress": progress, "together": together is not False, "seed": seed,
     }  # fmt: skip
     table: pd.DataFrame | None = None
-    if wanted != "nothing":
-        scheme, found = smallest(scheme, given, vary=wanted, **options)
-        most, table = max(map(max, scheme.trials)), found.table
-        if wanted == "trials":  # even numbers let every pair come in both orders equally often
-            scheme = sized(scheme, wanted, most + most % 2)
+    if to_vary != "nothing":
+        scheme, simulated = smallest(scheme, given, vary=to_vary, **options)
+        most, table = max(map(max, scheme.trials)), simulated.table
+        if to_vary == "trials":  # even numbers let every pair come in both orders equally often
+            scheme = sized(scheme, to_vary, most + most % 2)
     elif runs:
         most = max(map(max, scheme.trials))
         sizes = sorted({max(most // 2, 1), most, 2 * most})
         table = power(scheme, given, trials=sizes, **options).table
     if together is None:
-        known = any(h.priors.is_fixed("weber_fraction") for h in given)
-        together = scheme.animals > 1 and not known
-    return Plan(scheme, **own, together=together, power=table)
+        k_is_fixed = any(h.priors.is_fixed("weber_fraction") for h in given)
+        together = scheme.animals > 1 and not k_is_fixed
+    return Plan(scheme, **settings, together=together, power=table)
 
 
 def _spread_out(encoding: Encoding) -> Array:

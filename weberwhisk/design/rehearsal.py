@@ -93,22 +93,22 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Pl
         plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
         seed=of_answers,
     )  # fmt: skip
-    found = plan.analyse(answers, check=False)
-    rows = found.of(truth.name)
-    half_width = (rows["upper"] - rows["lower"]) / (2 * rows["weber_fraction"])
-    k: Any = pd.Series(plan.animals.weber_fraction, rows.index)
+    result = plan.analyse(answers, check=False)
+    estimates = result.of(truth.name)
+    half_width = (estimates["upper"] - estimates["lower"]) / (2 * estimates["weber_fraction"])
+    k: Any = pd.Series(plan.animals.weber_fraction, estimates.index)
     if not plan.together:
-        k = rows["subject"].map(animals.set_index("subject")["weber_fraction"])
+        k = estimates["subject"].map(animals.set_index("subject")["weber_fraction"])
     row = {
         "truth": truth.name,
         "run": chunk["run"],
         "trials": max(map(max, plan.scheme.trials)),
         "animals": plan.scheme.animals,
         "weber_fraction": float(k.median()),
-        "estimate": float(rows["weber_fraction"].median()),
-        "log_bayes_factor": found.log_bayes_factor(truth.name),
+        "estimate": float(estimates["weber_fraction"].median()),
+        "log_bayes_factor": result.log_bayes_factor(truth.name),
         "half_width": float(half_width.median()),
-        "covers": float(((rows["lower"] <= k) & (k <= rows["upper"])).mean()),
+        "covers": float(((estimates["lower"] <= k) & (k <= estimates["upper"])).mean()),
     }
     row |= plan.goal.animal_columns(half_width)
     return pd.DataFrame([row])

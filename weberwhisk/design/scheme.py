@@ -75,11 +75,11 @@ class Scheme(Fields):
         if np.unique(at).size < at.size:
             raise Refusal(f"a standard was given twice, in {at.tolist()}", remedy="give each once")
         checks.whole("animals", animals, "write 20")
-        rows = _rows("offsets", offsets, at.size)
+        offset_lists = _for_each_standard("offsets", offsets, at.size)
         one = np.isscalar(trials) or not isinstance(trials, Iterable)
-        counts = [[trials] * len(row) for row in rows] if one else None
-        counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
-        for i, (row, n) in enumerate(zip(rows, counts, strict=True)):
+        counts = [[trials] * len(row) for row in offset_lists] if one else None
+        counts = counts or _for_each_standard("trials", trials, at.size)  # type: ignore[arg-type]
+        for i, (row, n) in enumerate(zip(offset_lists, counts, strict=True)):
             if not row:
                 raise Refusal(f"standard {at[i]:g} has no offsets", remedy="give one or more")
             if len(row) != len(n):
@@ -97,7 +97,7 @@ class Scheme(Fields):
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
-        set_(self, "offsets", tuple(tuple(float(o) for o in rows[i]) for i in order))
+        set_(self, "offsets", tuple(tuple(float(o) for o in offset_lists[i]) for i in order))
         set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
         set_(self, "animals", int(animals))
         if self.total_trials > MOST_TRIALS:
@@ -152,9 +152,9 @@ class Scheme(Fields):
         refuse_out_of_reach(encoding, at, "standard")
         sd = weber_fraction * difference_sd(encoding, at)
         z = np.ravel(checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
-        rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
-        rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
-        for s, one, row in zip(at, sd, rows, strict=True):
+        offsets = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
+        offsets = [np.unique([float(f"{o:.12g}") for o in row]) for row in offsets]
+        for s, one, row in zip(at, sd, offsets, strict=True):
             if row.size < np.size(z):
                 said = partial(in_words, encoding)
                 raise Refusal(
@@ -162,7 +162,7 @@ class Scheme(Fields):
                     f"levels fall on {row.size}, as one sd is {said(one)}",
                     remedy="take finer steps, fewer levels or another standard",
                 )
-        return cls(at, rows, trials, animals)
+        return cls(at, offsets, trials, animals)
 
     @property
     def n_trials(self) -> int:
@@ -338,7 +338,7 @@ def lattice(
     at = np.unique(limits.positions(given))
     refuse_out_of_reach(encoding, at, "standard")
     ratios = np.geomspace(0.01, 1.2, each_side)
-    rows = []
+    offsets = []
     for s in at:
         steps = ratios * float(difference_sd(encoding, s))
         levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
@@ -354,8 +354,8 @@ def lattice(
                 f"{max(low, nearest):g} and {min(high, limits.farthest):g}",
                 remedy="choose another, or widen the range",
             )
-        rows.append([float(f"{level - s:.12g}") for level in levels])
-    return Scheme(at, rows)
+        offsets.append([float(f"{level - s:.12g}") for level in levels])
+    return Scheme(at, offsets)
 
 
 def _standards(standards: ArrayLike) -> Array:
@@ -370,7 +370,7 @@ def _snapped(distance: ArrayLike, step: float) -> Array:
     return np.asarray(np.round(at / step) * step) if step else at
 
 
-def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
+def _for_each_standard(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
     """One row a standard: as given, or the same for all."""
     given = checks.several(name, values, "write for example [-2e-3, 2e-3]")
     if given and all(np.ndim(v) == 0 for v in given):

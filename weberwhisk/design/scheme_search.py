@@ -121,10 +121,10 @@ def best_scheme(
             ways = [way for way in ways if len({*way[:standards]}) == standards]
             best = max([best, *ways], key=value)
     even_scheme = tried[start][1]
-    found = [s for c in dict.fromkeys((start, best)) if isinstance(s := tried[c][1], Scheme)]
-    if isinstance(even_scheme, Refusal) and not found:
+    schemes = [s for c in dict.fromkeys((start, best)) if isinstance(s := tried[c][1], Scheme)]
+    if isinstance(even_scheme, Refusal) and not schemes:
         raise even_scheme
-    return max(found, key=lambda s: _simulated(s, given, aim, likely, runs, seed))
+    return max(schemes, key=lambda s: _simulated(s, given, aim, likely, runs, seed))
 
 
 def _range(hypotheses: Sequence[Hypothesis], limits: Constraints) -> tuple[float, float]:
@@ -153,17 +153,17 @@ def _scheme(
     room = 0.99 * np.minimum(standards - low, high - standards)
     widest = np.minimum(OFFSETS[1][greatest] * sd, room)
     ratios = np.geomspace(1.0, OFFSETS[0][least] / OFFSETS[1][greatest], pairs)
-    rows = []
+    offsets = []
     for s, wide in zip(standards, widest, strict=True):
         levels = np.unique(limits.positions(s + wide * np.concatenate([-ratios, ratios])))
-        rows.append([float(f"{v - s:.12g}") for v in levels if abs(v - s) > 1e-9 * s])
-    if standards.size < len(at) or any(len(row) < 2 * pairs for row in rows):
+        offsets.append([float(f"{v - s:.12g}") for v in levels if abs(v - s) > 1e-9 * s])
+    if standards.size < len(at) or any(len(row) < 2 * pairs for row in offsets):
         raise Refusal(
             f"steps of {limits.step:g} leave fewer than standards={len(at)} with pairs={pairs} "
             f"of offsets between {low:g} and {high:g}",
             remedy="take finer steps, a wider range or fewer",
         )
-    return Scheme(standards, rows, each, count)
+    return Scheme(standards, offsets, each, count)
 
 
 def _expected(

@@ -93,20 +93,20 @@ def trial_lists(
         checks.whole("seed", seed, "write 1, say", least=0)
     checks.whole("longest_run", longest_run, "write 5, say", least=2)
     levels = scheme.cells()
-    alike = levels.standard == levels.stimulus_2
-    if alike.any():
+    is_equal = levels.standard == levels.stimulus_2
+    if is_equal.any():
         raise Refusal(
-            f"A comparison equal to its standard, {levels.standard[alike][0]:g}, has no right "
+            f"A comparison equal to its standard, {levels.standard[is_equal][0]:g}, has no right "
             "answer to reward",
             remedy="leave the offset 0 out",
         )
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(int(seed))
-    parts = {}
+    lists = {}
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
-        own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
-        rng = np.random.default_rng(own)
-        parts[f"s{i + 1}"] = _of_animal(levels, trials_per_session, longest_run, one_stimulus, rng)
-    return pd.concat(parts, names=["subject"]).reset_index(0).reset_index(drop=True)
+        animal_seed = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
+        rng = np.random.default_rng(animal_seed)
+        lists[f"s{i + 1}"] = _of_animal(levels, trials_per_session, longest_run, one_stimulus, rng)
+    return pd.concat(lists, names=["subject"]).reset_index(0).reset_index(drop=True)
 
 
 def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
@@ -141,7 +141,7 @@ def _of_animal(
         for block in np.flatnonzero(session_of == number):
             picked.append(_block(counts[block], second[block], before, longest_run, rng))
             before.extend(picked[-1][1].tolist())
-    level, side = (np.concatenate(parts) for parts in zip(*picked, strict=True))
+    level, side = (np.concatenate(arrays) for arrays in zip(*picked, strict=True))
     # Numbered without gaps: a block may be empty where sessions are shorter than the levels.
     in_block = np.repeat(np.arange(blocks), counts.sum(axis=1))
     session = np.unique(session_of[in_block], return_inverse=True)[1]
@@ -185,9 +185,9 @@ def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -
     """
     lead = np.zeros(counts.shape[1], dtype=np.intp)  # of "second" over "first", by level
     out = counts // 2
-    for block, odd in enumerate(counts % 2 == 1):
-        side = np.where(odd, -lead, 0)
-        free = np.flatnonzero(odd & (lead == 0))
+    for block, is_odd in enumerate(counts % 2 == 1):
+        side = np.where(is_odd, -lead, 0)
+        free = np.flatnonzero(is_odd & (lead == 0))
         free = free[np.lexsort((rng.random(free.size), standard[free]))]
         uneven = (lead + side).sum()
         first = -int(np.sign(uneven)) or 1 - 2 * int(rng.random() < 0.5)
@@ -235,9 +235,9 @@ def _sequence(
     for u in rng.random(sum(left)):
         side = 1 if u * sum(remaining) < remaining[0] else 2
         if not _can_follow(side, remaining, last, run, longest_run):
-            other = 3 - side
-            if _can_follow(other, remaining, last, run, longest_run) or not remaining[side - 1]:
-                side = other
+            opposite = 3 - side
+            if _can_follow(opposite, remaining, last, run, longest_run) or not remaining[side - 1]:
+                side = opposite
         remaining[side - 1] -= 1
         last, run = side, run + 1 if side == last else 1
         out.append(side)
@@ -246,13 +246,13 @@ def _sequence(
 
 def _can_follow(side: int, remaining: list[int], last: int, run: int, longest_run: int) -> bool:
     """Whether `side` may come next, and all that then remain be placed without too long a run."""
-    same, other = remaining[side - 1] - 1, remaining[2 - side]
+    same, opposite = remaining[side - 1] - 1, remaining[2 - side]
     run = run + 1 if side == last else 1
     return (
         same >= 0
         and run <= longest_run
-        and same <= longest_run - run + longest_run * other
-        and other <= longest_run * (same + 1)
+        and same <= longest_run - run + longest_run * opposite
+        and opposite <= longest_run * (same + 1)
     )
 
 
@@ -270,8 +270,8 @@ def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """
     table = lists.rename(columns={"trial": "trial_number"})
     table["correct_answer"] = [ANSWERS[greater - 1] for greater in table["greater"]]
-    for (subject, session), own in table.groupby(["subject", "session"], sort=False):
-        yield f"psychopy_{subject}_{session:03d}", own
+    for (subject, session), conditions in table.groupby(["subject", "session"], sort=False):
+        yield f"psychopy_{subject}_{session:03d}", conditions
 
 
 def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
@@ -418,7 +418,7 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
         names = f"standard{unit}", f"comparison{unit}"
         shown = dict(zip(names, (trial.standard, trial.comparison), strict=True))
         row = {"trial": trial.trial, **shown, "easy": trial.easy}
-        yield json.dumps(row | _known(session.placer))
+        yield json.dumps(row | _estimates(session.placer))
         session.sync()  # while the animal is at it
         for line in answers:
             if not line.strip():
@@ -434,19 +434,19 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
         else:
             return
     about = {"finished": session.finished, "trials": session.next().trial - 1}
-    yield json.dumps(about | _known(session.placer))
+    yield json.dumps(about | _estimates(session.placer))
 
 
-def _known(placer: BayesianPlacer) -> dict[str, Any]:
+def _estimates(placer: BayesianPlacer) -> dict[str, Any]:
     """What is known so far."""
 
     def rounded(values: dict[str, float]) -> dict[str, Any]:
         return {name: float(f"{value:.5g}") for name, value in values.items()}
 
     low, high = placer.interval()
-    known = rounded({"weber_fraction": placer.weber_fraction, "low": low, "high": high})
+    estimate = rounded({"weber_fraction": placer.weber_fraction, "low": low, "high": high})
     several = len(placer.hypotheses) > 1
-    return known | ({"probabilities": rounded(placer.probabilities)} if several else {})
+    return estimate | ({"probabilities": rounded(placer.probabilities)} if several else {})
 
 
 def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, float, Any]:

@@ -113,22 +113,22 @@ def fit(
     model, animals = hypothesis.model(scheme), counts.shape[1]
     pooled = together and animals > 1 and model.free[0]
     size = max(1, batch // animals)
-    found: list[tuple[Array, Array]] = []
-    for some in (counts[i : i + size] for i in range(0, len(counts), size)):
-        flat = some.reshape(-1, some.shape[-1])
+    fitted: list[tuple[Array, Array]] = []
+    for chunk in (counts[i : i + size] for i in range(0, len(counts), size)):
+        flat = chunk.reshape(-1, chunk.shape[-1])
         if pooled:
             scores, log_like = marginal(model, flat, 7.5)
             log_k = np.log(model.value("weber_fraction", scores))
-            mean, density = populations(model, log_k, log_like.reshape(len(some), animals, -1))
+            mean, density = populations(model, log_k, log_like.reshape(len(chunk), animals, -1))
             evidence, log_median = _integrated(mean, density)
-            found.append((evidence, np.exp(log_median)))
+            fitted.append((evidence, np.exp(log_median)))
         else:
             evidence, each = _single(hypothesis.priors, *marginal(model, flat))
             if animals > 1:
-                each = each.reshape(len(some), animals, -1)
+                each = each.reshape(len(chunk), animals, -1)
                 each = each if not together else each[:, 0]  # k is given, the same for all
-            found.append((evidence.reshape(len(some), -1).sum(axis=1), each))
-    evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            fitted.append((evidence.reshape(len(chunk), -1).sum(axis=1), each))
+    evidence, quantiles = (np.concatenate(arrays) for arrays in zip(*fitted, strict=True))
     return Fitted(evidence, quantiles)
 
 
@@ -179,12 +179,12 @@ def _with_states(
         frame = frame.assign(count=(rng.random(order.size) < chance).astype(float))
         trials = Trials(frame, truth.asked, source="simulated answers")
         for h in hypotheses:
-            found = fit_weber(trials, states=3, seed=rng, **options_of(h))
-            assert found.log_evidence is not None
-            evidence[h.name][run] += found.log_evidence
+            state_fit = fit_weber(trials, states=3, seed=rng, **options_of(h))
+            assert state_fit.log_evidence is not None
+            evidence[h.name][run] += state_fit.log_evidence
             if h is truth:
                 levels = [0.025, 0.5, 0.975]
-                quantiles[run, animal] = found.posterior.quantile("weber_fraction", levels)
+                quantiles[run, animal] = state_fit.posterior.quantile("weber_fraction", levels)
     kept = quantiles[:, 0] if scheme.animals == 1 else quantiles
     return _log_factor(evidence, truth.name), Fitted(evidence[truth.name], kept), k
 
@@ -222,12 +222,12 @@ def experiments(
         of_animals = goal.animal_columns(width)
         k, middle, width = (np.median(of, axis=1) for of in (k, middle, width))
         covers = covers.mean(axis=1)
-    found = {
+    outcomes = {
         "weber_fraction": k, "estimate": middle, "log_bayes_factor": log_factor,
         "half_width": width, "covers": covers,
     }  # fmt: skip
     about = {name: chunk[name] for name in ("trials", "animals", "truth")}
-    return pd.DataFrame({**about, **found, **of_animals})
+    return pd.DataFrame({**about, **outcomes, **of_animals})
 
 
 def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array, Array]:
