@@ -15,8 +15,14 @@ import pytest
 from scipy.io import savemat
 from scipy.special import ndtr
 
-from weberwhisk.behaviour import Trials, fit_weber, read_trials, simulate_trials, weber_law_test
-from weberwhisk.behaviour.criticism import checks
+from weberwhisk.behaviour import (
+    Trials,
+    checks,
+    fit_weber,
+    read_trials,
+    simulate_trials,
+    weber_law_test,
+)
 from weberwhisk.behaviour.effects import History
 from weberwhisk.cli import app, run_app
 
