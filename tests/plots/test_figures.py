@@ -376,6 +376,18 @@ def test_populations_of_many_animals_can_be_read(
         assert len(named) == (animals if animals == 30 else 0)
 
 
+def test_thousands_of_readings_are_a_band_and_dots(tmp_path: Path) -> None:
+    tap = observer()
+    places = np.random.default_rng(1).uniform(5e-3, 45e-3, (2000, 1))
+    ax = plots.posteriors(ww.posterior(tap, tap.read(places, seed=1)))
+    assert not ax.containers
+    assert len(ax.get_lines()[0].get_xdata()) == 2000
+    figure = plots.figure_of(ax)
+    assert faults(figure) == []
+    figure.savefig(tmp_path / "one.svg")
+    assert (tmp_path / "one.svg").stat().st_size < 400_000
+
+
 def test_axes_are_named_after_what_is_on_them() -> None:
     def labels(fit: ww.behaviour.WeberFit) -> tuple[str, str]:
         figure = plots.figure_of(plots.psychometrics(fit))

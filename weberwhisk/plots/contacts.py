@@ -45,6 +45,9 @@ __all__ = [
     "place", "posteriors", "whisker_array",
 ]  # fmt: skip
 
+#: More readings than this are drawn as dots over a band.
+MOST_BARS = 200
+
 
 @styled
 def bending(
@@ -174,8 +177,15 @@ def posteriors(
     low, high = np.moveaxis(np.asarray(result.interval(0.95, of=of)) / unit, -1, 0)
     ends = mean, np.minimum(low, mean), np.maximum(high, mean)
     reliable = np.asarray(result.status) == 0
+    many = len(mean) > MOST_BARS
+    if many:
+        at = np.arange(len(mean))
+        ax.fill_between(at, *ends[1:], color=COLOURS[4], alpha=0.4, linewidth=0, label="95 %")
     for i, (which, name) in enumerate(((reliable, "mean, 95 %"), (~reliable, "see its status"))):
-        if which.any():
+        if which.any() and many:
+            dots = mark(i, markersize=1.5, label=name.removesuffix(", 95 %"))
+            ax.plot(np.flatnonzero(which), mean[which], **dots)
+        elif which.any():
             bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Reading", ylabel=label)
