@@ -342,8 +342,8 @@ class LayeredSums:
 
     def quantiles(self, p: Array, unknown: int) -> Array:
         """Quantiles (B, Q) of an unknown."""
-        fine, coarse = self.spans(unknown), self.spans(unknown, 2)
-        return extrapolated(fine, coarse, p, len(self.error))
+        spans, halved = self.spans(unknown), self.spans(unknown, 2)
+        return extrapolated(spans, halved, p, len(self.error))
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
