@@ -177,7 +177,7 @@ def _with_states(
         state, second = states.drawn(frame, rng.random((2, order.size)))
         chance = np.where(state > 0, second, p[run, animal, order])
         frame = frame.assign(count=(rng.random(order.size) < chance).astype(float))
-        trials = Trials(frame, truth.asked, source="simulated answers")
+        trials = Trials(frame, truth.asked, in_order=True, source="simulated answers")
         for h in hypotheses:
             state_fit = fit_weber(trials, states=3, seed=rng, **options_of(h))
             assert state_fit.log_evidence is not None
