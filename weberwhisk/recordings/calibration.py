@@ -15,6 +15,7 @@ from scipy.stats import f as f_distribution
 
 from .. import domain
 from .._util import checks
+from .._util.importance import SobolPoints, adapted_draws
 from .._util.refusals import Advice, Refusal, argument
 from .._util.values import Array, Index, Shown, weighted_quantiles
 from ..cues import Cue
@@ -181,7 +182,7 @@ def calibrate(
     hinge : bool
         Whether the base may rotate.
     draws : int
-        Draws from the posterior, by importance sampling about its mode.
+        Most draws in one round of importance sampling, which is adapted to the posterior.
     seed : int, SeedSequence or Generator
 
     Returns
@@ -212,15 +213,12 @@ def calibrate(
     r, y, by_velocity = _taps(table, whisker, columns, units, counts)
     rng = checks.generator(seed)
     mode, covariance = _mode(r, y, whisker, hinge)
-    root = np.linalg.cholesky(covariance)
-    normal = rng.standard_normal((draws, len(mode)))
-    df = 5  # Student's t about the mode: its tails are heavier than the posterior's
-    wider = np.sqrt(df / rng.chisquare(df, draws))[:, None]
-    x = mode + (normal * wider) @ root.T
-    log = _log_density(x, r, y, _first_taps(r, whisker), whisker)
-    log += 0.5 * (df + len(mode)) * np.log1p(((normal * wider) ** 2).sum(axis=1) / df)
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
+    first = _first_taps(r, whisker)
+    weighted = adapted_draws(
+        lambda x: _log_density(x, r, y, first, whisker), mode, np.sqrt(np.diag(covariance)),
+        SobolPoints(len(mode) + 1, rng), effective=0.5 * draws, most=draws,
+    )  # fmt: skip
+    x, weight = weighted.values, weighted.weights
     scale, apex, give, misfit, k = _natural(x, whisker)
     unit = whisker.compliance_constant if counts else 3.0
     named = {"gain" if counts else "stiffness_N_m2": scale / unit, "apex_distance_mm": 1e3 * apex}
@@ -242,7 +240,7 @@ def calibrate(
         "residual_sd": (y / fitted - 1) / noise.weber_fraction,
     })  # fmt: skip
     # `locate` averages over these: the mean of 24 draws has an sd of a fifth of what they add.
-    kept = rng.choice(draws, 24, p=weight)
+    kept = rng.choice(len(x), 24, p=weight)
     off = misfit[kept] * ndtri((rng.permutation(kept.size) + 0.5) / kept.size)
     samples = tuple(
         (*_as_found(x[i], whisker, counts, 1 + o), Weber(float(k[i])))
@@ -250,7 +248,7 @@ def calibrate(
     )
     return Calibration(
         found, cue, noise, parameters, residuals, _left_out(r, y, whisker, mode),
-        _lack_of_fit(r, y / fitted, len(mode) - 2, whisker), float(1 / (weight**2).sum()),
+        _lack_of_fit(r, y / fitted, len(mode) - 2, whisker), weighted.effective,
         samples, by_velocity,
     )  # fmt: skip
 
