@@ -36,6 +36,11 @@ DEPTH = 14.0
 OVER = 4
 #: Numbers at once, in quantiles of the second unknown: 16 MB.
 NUMBERS = 2_000_000
+#: By how many sds quantiles of the second unknown may differ from those of half the columns. Those
+#: of all columns are then off by less than 2e-3.
+HALVES = 5e-3
+#: Most columns of quantiles of the second unknown to a step between cells.
+MOST_STEPS = 64
 #: Where quantiles of the second unknown are first looked for, in sds from its mean.
 GRID = np.array([-8.0, -5.0, -3.5, -2.5, -2.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.0, 2.5, 3.5, 5.0, 8.0])
 
@@ -244,12 +249,18 @@ class CellSums:
                 at = some.readings
                 columns = Columns(some, self.observer, self.which[at], 1)
                 needed = columns.steps_needed(self.mean[at, 1], self.sd[at, 1])
-                for steps in np.unique(needed):
-                    for few in some.of(needed == steps).chunks(max(1, size // int(steps))):
+                steps = 1
+                while steps <= MOST_STEPS:
+                    crude = np.asarray(needed > steps)
+                    for few in () if crude.all() else some.of(~crude).chunks(size // steps or 1):
                         at = few.readings
-                        if steps > 1 or len(at) < len(some.readings):
-                            columns = Columns(few, self.observer, self.which[at], int(steps))
-                        out[at] = columns.quantiles(p, self.mean[at, 1], self.sd[at, 1])
+                        if steps > 1 or len(at) < len(needed):
+                            columns = Columns(few, self.observer, self.which[at], steps)
+                        out[at], off = columns.quantiles(p, self.mean[at, 1], self.sd[at, 1])
+                        crude[np.isin(some.readings, at)] = off > HALVES
+                    if not crude.any():
+                        break
+                    some, needed, steps = some.of(crude), needed[crude], 2 * steps
         return out
 
     # -- draws -------------------------------------------------------------------------------------
@@ -359,7 +370,8 @@ class Columns:
 
     The probability that the second unknown lies below a value is the sum over columns of their
     masses below its coordinate there: over distances the trapezoidal rule. Where a line of one
-    value crosses a narrow ridge within a step, there are several `steps` of columns to one.
+    value crosses a narrow ridge within a step, there are several `steps` of columns to one: as many
+    as `steps_needed` finds at a few values, or more until quantiles of half the columns agree.
     """
 
     def __init__(
@@ -395,7 +407,10 @@ class Columns:
         self.total = np.add.reduceat(self.weight * self.curves.below[:, -1], self.first)
         self.start = (lowest[present] + 0.5)[:, None]
         self.step = lattices.step[1]
-        x = ((left[self.owner] + present % width) / steps + 0.5) * lattices.step[0]
+        place_in = left[self.owner] + present % width
+        #: Whether a column is one of every other.
+        self.odd = np.asarray(place_in % 2 == 1)
+        x = (place_in / steps + 0.5) * lattices.step[0]
         self.scale = observer.second_scale(x, which[self.owner])
         low, high = self.scale.low, np.maximum.reduceat(self.scale.high, self.first)
         #: The least value (n, 1) that the second unknown may have, and the largest.
@@ -421,6 +436,23 @@ class Columns:
         power = np.ceil(np.log2(np.maximum(most / 1.4, 1.0))).astype(np.intp)
         return np.asarray(2**power)
 
+    def half_error(self, value: Array) -> Array:
+        """By how much probabilities (n, Q) below values (n, Q) differ from those of half columns.
+
+        Every other column is one half, the rest the other.
+        """
+        every = np.arange(len(self.owner))
+        x = self.scale.coordinate(value[self.owner], every) / self.step - self.start
+        below = self.weight[:, None] * self.curves.at(x, every)
+        mass = self.weight * self.curves.below[:, -1]
+        share = np.add.reduceat(below, self.first, axis=0) / self.total[:, None]
+        off = np.zeros(value.shape)
+        for half in (self.odd, ~self.odd):
+            total = np.maximum(np.add.reduceat(mass * half, self.first), 1e-300)
+            part = np.add.reduceat(below * half[:, None], self.first, axis=0) / total[:, None]
+            off = np.maximum(off, np.abs(part - share))
+        return off
+
     def score(self, value: Array, among: Flags) -> Array:
         """Normal scores of the probabilities (n, Q) below values (n, Q), of readings `among`."""
         mine = np.flatnonzero(among[self.owner])
@@ -432,8 +464,10 @@ class Columns:
         below = np.add.reduceat(below, first, axis=0) / self.total[among, None]
         return np.clip(ndtri(np.clip(below, 0.0, 1.0)), -38.0, 38.0)
 
-    def quantiles(self, p: Array, mean: Array, sd: Array) -> Array:
+    def quantiles(self, p: Array, mean: Array, sd: Array) -> tuple[Array, Array]:
         """Quantiles (n, Q) of the second unknown, of moments (n,), at probabilities (Q,).
+
+        And by how many sds the worst of each reading differs from that of half the columns (n,).
 
         Scores of values are all but straight lines: regula falsi with Illinois steps converges in
         three or four.
@@ -471,7 +505,10 @@ class Columns:
                 over, np.where(again, fa / 2, fa), off
             )
             side[rows] = np.where(over, 1.0, -1.0)
-        return out
+        near = 0.05 * sd[:, None]
+        rise = ndtr(self.score(out + near, everyone)) - ndtr(self.score(out - near, everyone))
+        off = 0.1 * self.half_error(out) / np.maximum(rise, 1e-300)
+        return out, off.max(axis=1)
 
 
 def _with_finer_columns(
