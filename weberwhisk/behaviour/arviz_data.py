@@ -126,16 +126,16 @@ def _units(fit: Estimates) -> dict[str, str]:
     """Units by the name of a variable; "1" for a ratio, a probability or a count."""
     model = fit.model
     names = [n for n in fit.parameters if n not in model.group_names]
-    found = dict.fromkeys(["answers", "n", *names], "1")
-    found["bias"] = _BIAS_UNITS.get(type(model.task), "sd of the decision variable")
+    units = dict.fromkeys(["answers", "n", *names], "1")
+    units["bias"] = _BIAS_UNITS.get(type(model.task), "sd of the decision variable")
     if fit.unit:
-        found["weber_fraction"] = fit.unit
-    if "floor" in found:
-        found["floor"] = "unit of the signal"
+        units["weber_fraction"] = fit.unit
+    if "floor" in units:
+        units["floor"] = "unit of the signal"
     columns = fit.trials.frame.attrs.get("columns", {})
     for name in STIMULI:
-        found[name] = fit.stimulus_unit or f"unit of the column {columns.get(name, name)}"
-    return found
+        units[name] = fit.stimulus_unit or f"unit of the column {columns.get(name, name)}"
+    return units
 
 
 def _of_likelihood(fit: Estimates) -> str:

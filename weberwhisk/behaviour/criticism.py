@@ -226,6 +226,6 @@ def _kept(fit: Estimates) -> str:
     usual = encoding_for(trials.scale, trials.log_unit, fit.noise)
     effects = {effect.name: effect.prior for effect in model.effects}
     believed = priors_for(None, model.cells, trials.unit_known, model.task, effects)
-    other = [believed.words(n) != model.priors.words(n) for n in (*PARAMETERS, *effects)]
-    own = ["encoding"] * (fit.encoding != usual) + ["priors"] * any(other)
-    return f", and the {' and '.join(own)} of this fit" if own else ""
+    changed = [believed.words(n) != model.priors.words(n) for n in (*PARAMETERS, *effects)]
+    differing = ["encoding"] * (fit.encoding != usual) + ["priors"] * any(changed)
+    return f", and the {' and '.join(differing)} of this fit" if differing else ""

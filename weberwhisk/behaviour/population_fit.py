@@ -348,32 +348,34 @@ def fit_population(
         for subject, part in parts.items()
         if part.n_trials
     }
-    own = pd.DataFrame([_row(subject, fits.get(subject), check) for subject in parts])
-    left_out = own["status"].isin([status.name for status in LEFT_OUT])
+    alone = pd.DataFrame([_row(subject, fits.get(subject), check) for subject in parts])
+    left_out = alone["status"].isin([status.name for status in LEFT_OUT])
     notes = trials.notes + tuple(
         f"{subject} stays out: {FitStatus[status].message}."
-        for subject, status in own.loc[left_out, ["subject", "status"]].itertuples(index=False)
+        for subject, status in alone.loc[left_out, ["subject", "status"]].itertuples(index=False)
     )
-    misfits = own["status"].str.startswith("MISFIT")
+    misfits = alone["status"].str.startswith("MISFIT")
     if misfits.any():
-        named = ", ".join(f"{row.subject} ({row.status})" for row in own[misfits].itertuples())
+        named = ", ".join(f"{row.subject} ({row.status})" for row in alone[misfits].itertuples())
         notes += (f"The model does not hold for {named}: see report() of their fits.",)
     shared = believed, prior, notes, seed, fits
     if left_out.all():
-        return PopulationFit(PopulationStatus.NO_TRIALS, own, None, *shared)
-    kept = own[~left_out]
+        return PopulationFit(PopulationStatus.NO_TRIALS, alone, None, *shared)
+    kept = alone[~left_out]
     each = (fits[subject] for subject in kept["subject"])
     likelihoods = [of_fraction(fit.model.merged(), fit.weber_fraction) for fit in each]
     weber = believed.weber_fraction
-    found = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, prior)
+    population = integrate_population(likelihoods, lambda x: weber.logpdf(np.exp(x)) + x, prior)
     p = [0.5, 0.025, 0.975]
-    quantiles = [np.exp(weighted_quantiles(found.log_k, mass, p)) for mass in found.animals]
-    table = own.join(pd.DataFrame(quantiles, kept.index, ["weber_fraction", "lower", "upper"]))
-    status = _status(found, prior, len(kept))
-    by_chance = bdtrc(misfits.sum() - 1, len(own), FALSE_ALARMS) > FALSE_ALARMS
+    quantiles = [
+        np.exp(weighted_quantiles(population.log_k, mass, p)) for mass in population.animals
+    ]
+    table = alone.join(pd.DataFrame(quantiles, kept.index, ["weber_fraction", "lower", "upper"]))
+    status = _status(population, prior, len(kept))
+    by_chance = bdtrc(misfits.sum() - 1, len(alone), FALSE_ALARMS) > FALSE_ALARMS
     if status is not PopulationStatus.NOT_CONVERGED and not by_chance:
         status = PopulationStatus.MISFIT
-    return PopulationFit(status, table, found, *shared)
+    return PopulationFit(status, table, population, *shared)
 
 
 def _row(subject: Hashable, fit: WeberFit | None, check: bool) -> dict[str, Any]:
@@ -390,13 +392,15 @@ def _row(subject: Hashable, fit: WeberFit | None, check: bool) -> dict[str, Any]
     }
 
 
-def _status(found: Population, prior: Any, animals: int, of_prior: float = 0.8) -> PopulationStatus:
+def _status(
+    population: Population, prior: Any, animals: int, of_prior: float = 0.8
+) -> PopulationStatus:
     """The spread is uninformed where its sd is more than that share of the prior's."""
-    if found.error > 0.02:
+    if population.error > 0.02:
         return PopulationStatus.NOT_CONVERGED
     if animals == 1:
         return PopulationStatus.ONE_ANIMAL
-    values, mass = found.nodes("spread")
+    values, mass = population.nodes("spread")
     sd = np.sqrt(mass @ (values - mass @ values) ** 2)
     if sd > of_prior * float(prior.std()):
         return PopulationStatus.SPREAD_UNINFORMED

@@ -209,7 +209,7 @@ def threshold(
     up, down = _ladder(encoding, standard, +1), _ladder(encoding, standard, -1)
     rungs = np.where(upward_at[..., None], up, down)
     # The side that nobody is on is not looked at: the ladders are most of the work.
-    seen = [above(side) if some else 0.0 for side, some in (
+    seen = [above(side) if reached else 0.0 for side, reached in (
         (up, upward_at.any()), (down, not upward_at.all())
     )]  # fmt: skip
     passed = sign * np.where(upward_at[..., None], *seen)

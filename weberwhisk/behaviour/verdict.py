@@ -129,9 +129,9 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
             + ", or add easier and harder pairs."
         )
     d = _drive(model)
-    none, some = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))
-    apart = none.max(initial=-np.inf) < some.min(initial=np.inf)
-    if apart and none.size + some.size > 1 and not _one_sided(model):
+    none, every = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))
+    separated = none.max(initial=-np.inf) < every.min(initial=np.inf)
+    if separated and none.size + every.size > 1 and not _one_sided(model):
         notes.append("Every level is answered all one way: only harder comparisons inform further.")
     return tuple(notes)
 
@@ -149,9 +149,9 @@ def too_few_kinds(model: WeberModel) -> bool:
 def _kinds(model: WeberModel) -> int:
     """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
     d = np.sort(_drive(model))
-    alike, kinds, first = 0.1 * np.abs(d).max(), 1, d[0]
+    tolerance, kinds, first = 0.1 * np.abs(d).max(), 1, d[0]
     for value in d:  # measured distances leave no gaps
-        if value - first > alike:
+        if value - first > tolerance:
             kinds, first = kinds + 1, value
     return kinds
 
