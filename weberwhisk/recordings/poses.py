@@ -60,7 +60,7 @@ def deeplabcut(path: Path, notes: list[str]) -> pd.DataFrame:
                     **{c: v.iloc[:, 0].to_numpy() for c, v in values.items() if v.shape[1]},
                 }))  # fmt: skip
     if not columns:
-        raise _unreadable(path, "DeepLabCut", ValueError("it has no x and y"))
+        raise _unreadable(path, "DeepLabCut", LookupError("it has no x and y"))
     if "single" in {*whiskers} and len({*whiskers}) > 1:
         alone = [str(part) for part in dict.fromkeys(bodyparts[whiskers == "single"])]
         notes.append(
@@ -171,7 +171,7 @@ def sleap_analysis(path: Path, notes: list[str]) -> pd.DataFrame:
     if np.isfinite(places[:1]).any():  # else it was written with the empty frames before
         notes.append(
             "The file does not say the number of its first frame: frames are counted from 0, as "
-            "SLEAP writes them with --all-frames; if it left some out, give the .slp."
+            "SLEAP writes them where it keeps all frames; if it left some out, give the .slp."
         )
     if len(names) == many and names:
         out["name"] = np.array(names, dtype=object)[out["whisker"]]
