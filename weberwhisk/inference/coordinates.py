@@ -380,9 +380,14 @@ def is_discontinuous(distribution: Any) -> bool:
     ends = distribution.ppf(np.linspace(1e-6, 1 - 1e-6, 1025))
     value = np.unique(np.concatenate([ends, np.linspace(ends[0], ends[-1], 2049)]))
 
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Between narrow peaks a smooth density underflows: 60 nats below the highest is nothing.
+        floor = np.nanmax(distribution.logpdf(value)) - 60.0
+
     def step(low: Array, high: Array) -> Array:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.nan_to_num(np.abs(distribution.logpdf(low) - distribution.logpdf(high)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log = [np.fmax(distribution.logpdf(x), floor) for x in (low, high)]
+        return np.nan_to_num(np.abs(log[0] - log[1]))
 
     low, high = value[:-1], value[1:]
     for _ in range(50):  # what is steep is less so over half of the way
@@ -400,7 +405,8 @@ def _refuse_discontinuous(name: str, distribution: Any) -> None:
     """Refuse a prior that no coordinate makes smooth, with a smooth one of its mean and sd."""
     if not is_discontinuous(distribution):
         return
-    mean, sd = float(distribution.mean()), float(distribution.std())
+    quantiles = distribution.ppf((np.arange(10_000) + 0.5) / 10_000)  # own priors may lack a mean
+    mean, sd = float(quantiles.mean()), float(quantiles.std())
     low, high = map(float, distribution.support())
     smooth = f"scipy.stats.norm({mean:.4g}, {sd:.4g})"
     if np.isfinite(high - low):

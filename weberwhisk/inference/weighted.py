@@ -409,7 +409,7 @@ class Columns:
         self.step = lattices.step[1]
         place_in = left[self.owner] + present % width
         #: Whether a column is one of every other.
-        self.odd = np.asarray(place_in % 2 == 1)
+        self.odd_columns = np.asarray(place_in % 2 == 1)
         x = (place_in / steps + 0.5) * lattices.step[0]
         self.scale = observer.second_scale(x, which[self.owner])
         low, high = self.scale.low, np.maximum.reduceat(self.scale.high, self.first)
@@ -447,7 +447,7 @@ class Columns:
         mass = self.weight * self.curves.below[:, -1]
         share = np.add.reduceat(below, self.first, axis=0) / self.total[:, None]
         off = np.zeros(value.shape)
-        for half in (self.odd, ~self.odd):
+        for half in (self.odd_columns, ~self.odd_columns):
             total = np.maximum(np.add.reduceat(mass * half, self.first), 1e-300)
             part = np.add.reduceat(below * half[:, None], self.first, axis=0) / total[:, None]
             off = np.maximum(off, np.abs(part - share))
@@ -472,7 +472,7 @@ class Columns:
         Scores of values are all but straight lines: regula falsi with Illinois steps converges in
         three or four.
         """
-        wanted, everyone = ndtri(p), np.ones(len(mean), dtype=bool)
+        target, everyone = ndtri(p), np.ones(len(mean), dtype=bool)
         lowest, highest = self.bounds
         grid = np.clip(mean[:, None] + sd[:, None] * GRID, lowest, highest)
         score = np.pad(self.score(grid, everyone), ((0, 0), (1, 1)), constant_values=(-38.0, 38.0))
@@ -480,9 +480,9 @@ class Columns:
             highest, grid[:, -1:] + 40 * sd[:, None]
         )
         grid = np.concatenate([ends[0], grid, ends[1]], axis=1)
-        above = np.maximum((score[:, None] >= wanted[:, None]).argmax(axis=2), 1)
+        above = np.maximum((score[:, None] >= target[:, None]).argmax(axis=2), 1)
         low, high = (np.take_along_axis(grid, above - i, axis=1) for i in (1, 0))
-        below, beyond = (np.take_along_axis(score, above - i, axis=1) - wanted for i in (1, 0))
+        below, beyond = (np.take_along_axis(score, above - i, axis=1) - target for i in (1, 0))
         out, side = np.where(beyond == 0, high, low), np.zeros(low.shape)
         done = np.asarray(beyond == 0)
         for _ in range(80):
@@ -492,7 +492,7 @@ class Columns:
             rows = np.flatnonzero(active)
             a, b, fa, fb = low[rows], high[rows], below[rows], beyond[rows]
             guess = a - fa * (b - a) / np.maximum(fb - fa, 1e-300)
-            off = self.score(guess, active) - wanted
+            off = self.score(guess, active) - target
             over = off >= 0
             again = np.where(over, 1.0, -1.0) == side[rows]
             open_ = ~done[rows]
