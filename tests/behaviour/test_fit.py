@@ -309,7 +309,7 @@ def test_misfit_is_found_and_the_remedy_named() -> None:
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))
     assert shared.misfit < 0.001
     assert shared.status is FitStatus.MISFIT_CURVE
-    assert 'first fit_weber(trials, bias="per standard")' in shared.report()
+    assert "first fit_weber(trials, bias='per standard')" in shared.report()
     assert own.misfit > 0.01
     assert own.log_evidence is not None
     assert shared.log_evidence is not None

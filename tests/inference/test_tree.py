@@ -30,6 +30,7 @@ from weberwhisk.cues import (
     Vibration,
 )
 from weberwhisk.inference import tree
+from weberwhisk.inference.descent import cell_sums
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -452,8 +453,8 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     reading = np.array([[1.764583e-3, 5.083968, 0.211801, 1.144397, -1.763041]])
     own = tree.tree_of(observer, tree.TOLERANCE, 2)
     which = np.array([own.observer.number((1.265,))])
-    exact = own.sums(reading, which=which)
-    measured = own.sums(reading, np.diag((1e-6 * reading[0]) ** 2)[None], which=which)
+    exact = cell_sums(own, reading, which=which)
+    measured = cell_sums(own, reading, np.diag((1e-6 * reading[0]) ** 2)[None], which=which)
     assert np.allclose(measured.log_evidence, exact.log_evidence, atol=1e-6)
     assert np.allclose(measured.mean, exact.mean, atol=1e-6 * exact.sd)
 
@@ -461,7 +462,7 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
 @pytest.mark.parametrize("count", [12, pytest.param(40, marks=pytest.mark.slow)])
 def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     """Beyond the memory that is set there are those of one step, and of one reading at the most."""
-    split, most = tree.Tree._split, []
+    split, most = tree.Tree.split, []
 
     def watched(self, *args):
         most.append(self.bytes)
@@ -471,7 +472,7 @@ def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     _, reading = readings_of(observer, count, np.random.default_rng(1))
     usual = ww.posterior(observer, reading)
     monkeypatch.setattr(tree, "MEMORY", 3_000_000)
-    monkeypatch.setattr(tree.Tree, "_split", watched)
+    monkeypatch.setattr(tree.Tree, "split", watched)
     tree._kept.clear()
     bound = ww.posterior(observer, reading)
     assert np.all(np.abs(bound.mean - usual.mean) < 1e-3 * usual.sd)

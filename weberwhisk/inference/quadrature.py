@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,55 +52,67 @@ def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None,
     progress: Callable[[int, int], None] | None,
 ) -> QuadratureSolution:  # fmt: skip
-    """Posteriors of readings (B, R) by quadrature."""
+    """Posteriors of readings (B, R) by quadrature, some at a time."""
     if len(observer.unknowns) > 4:
         raise Refusal(
             "Quadrature sums over four unknowns at most",
             f"{len(observer.unknowns)} ({', '.join(observer.unknowns)})",
             "write " + argument("method", "emcee"),
         )
-    return QuadratureSolution(observer, reading, tolerance or TOLERANCE, progress)
+    tolerance = tolerance or TOLERANCE
+    chunks: list[tuple[int, int]] = []
+    kept: list[WeightedPosteriors | None] = []
+    columns: list[tuple[Array, ...]] = []
+    done, room = 0, tree.MEMORY / 2
+    layered = len(observer.unknowns) > observer.inner
+    size = LAYERED if layered else TOGETHER
+    while done < len(reading) or not columns:
+        begin, done = done, min(done + size, len(reading))
+        sums = sums_of(observer, reading[begin:done], tolerance=tolerance)
+        columns.append((sums.mean, sums.sd, sums.error, sums.log_evidence, sums.best))
+        room -= sums.bytes
+        chunks.append((begin, done))
+        kept.append(sums if room > 0 else None)
+        if not layered:  # so many that their cells take a quarter of the memory
+            size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED, TOGETHER))
+        if progress:
+            progress(done, len(reading))
+    mean, sd, error, evidence, best = (np.concatenate(c) for c in zip(*columns, strict=True))
+    refuse_impossible(reading, np.nan_to_num(evidence, nan=-np.inf))
+    status = _status(observer, reading, best, error, tolerance)
+    return QuadratureSolution(
+        observer, reading, tolerance, mean, sd, error, evidence, status, chunks, kept
+    )
 
 
+@dataclass(eq=False)
 class QuadratureSolution:
-    """Posteriors of many readings (B, R) by quadrature, some at a time.
+    """Posteriors of many readings (B, R) by quadrature: moments (B, U), error (B,), status (B,).
 
     Their cells are kept while they fit in half of `tree.MEMORY`; those of later readings are summed
     again where quantiles or draws are asked for, as are all in a copy from a pickle.
+
+    Attributes
+    ----------
+    chunks : list
+        Where chunks of readings begin and end.
+    kept : list
+        The sums of each chunk, None where they are not kept.
     """
 
-    def __init__(
-        self, observer: Observer, readings: Array, tolerance: float,
-        progress: Callable[[int, int], None] | None,
-    ) -> None:  # fmt: skip
-        self.observer, self.readings, self.tolerance = observer, readings, tolerance
-        #: Where chunks of readings begin and end, and their sums while they are kept.
-        self.chunks: list[tuple[int, int]] = []
-        self._sums: list[WeightedPosteriors | None] = []
-        columns: list[tuple[Array, ...]] = []
-        done, room = 0, tree.MEMORY / 2
-        layered = len(observer.unknowns) > observer.inner
-        size = LAYERED if layered else TOGETHER
-        while done < len(readings) or not columns:
-            chunk = done, min(done + size, len(readings))
-            sums = self._summed(chunk)
-            columns.append((sums.mean, sums.sd, sums.error, sums.log_evidence, sums.best))
-            room -= sums.bytes
-            self.chunks.append(chunk)
-            self._sums.append(sums if room > 0 else None)
-            done = chunk[1]
-            if not layered:  # so many that their cells take a quarter of the memory
-                size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED, TOGETHER))
-            if progress:
-                progress(done, len(readings))
-        self.mean, self.sd, self.error, self.log_evidence, best = (
-            np.concatenate(column) for column in zip(*columns, strict=True)
-        )
-        refuse_impossible(readings, np.nan_to_num(self.log_evidence, nan=-np.inf))
-        self.status = _status(observer, readings, best, self.error, tolerance)
+    observer: Observer
+    readings: Array
+    tolerance: float
+    mean: Array
+    sd: Array
+    error: Array
+    log_evidence: Array
+    status: NDArray[np.int8]
+    chunks: list[tuple[int, int]]
+    kept: list[WeightedPosteriors | None]
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_sums": [None] * len(self._sums)}
+        return vars(self) | {"kept": [None] * len(self.kept)}
 
     @property
     def estimates(self) -> list[Estimate]:
@@ -107,13 +120,11 @@ class QuadratureSolution:
         columns = zip(self.mean.T, self.sd.T, strict=True)
         return [Estimate(m, s, self.error * s, self.error * s) for m, s in columns]
 
-    def _summed(self, chunk: tuple[int, int]) -> WeightedPosteriors:
-        return sums_of(self.observer, self.readings[slice(*chunk)], tolerance=self.tolerance)
-
     def sums(self) -> Iterator[tuple[Array, WeightedPosteriors]]:
         """Readings (n, R) and their sums, some at a time."""
-        for chunk, sums in zip(self.chunks, self._sums, strict=True):
-            yield self.readings[slice(*chunk)], sums or self._summed(chunk)
+        for (begin, end), sums in zip(self.chunks, self.kept, strict=True):
+            readings = self.readings[begin:end]
+            yield readings, sums or sums_of(self.observer, readings, tolerance=self.tolerance)
 
     def quantiles(self, p: Array, unknown: int) -> Array:
         return np.concatenate([sums.quantiles(p, unknown) for _, sums in self.sums()])
