@@ -6,6 +6,7 @@ import pickle
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_reprs import objects
 
@@ -51,3 +52,21 @@ def same(copy: ww.Posterior, p: ww.Posterior) -> None:
         np.testing.assert_array_equal(copy.estimates[name], p.estimates[name])
         np.testing.assert_array_equal(copy.interval(of=name), p.interval(of=name))
     np.testing.assert_array_equal(copy.solution.draws(20, 3), p.solution.draws(20, 3))
+
+
+def test_studies_and_tables_come_back() -> None:
+    trials, _ = ww.simulate_population(3, trials_per_level=5, seed=1)
+    population = ww.fit_population(trials, check=False)
+    copy = back(population)
+    pd.testing.assert_frame_equal(copy.summary(), population.summary())
+    np.testing.assert_array_equal(copy.interval(), population.interval())
+    array = ww.WhiskerArray("rat", "right").protract(np.radians(40))
+    observer = ww.ArrayObserver(array.only(["C1", "C2"]))
+    readings = observer.read([20e-3, 2e-3], seed=1)
+    place = ww.place(observer, readings)
+    pd.testing.assert_frame_equal(back(place).summary(), place.summary())
+    tap = ww.press(W, radial_distance=[20e-3, 30e-3], deflection_angle=0.1)
+    table = pd.DataFrame({"moment_Nm": tap.moment, "axial_force_N": tap.axial_force})
+    located = ww.locate(table, W, noise=0.1)
+    pd.testing.assert_frame_equal(back(located), located)
+    assert back(located).attrs["notes"] == located.attrs["notes"]
