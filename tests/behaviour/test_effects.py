@@ -25,12 +25,16 @@ from weberwhisk.behaviour.effects import (
     Contraction,
     Drift,
     Effect,
+    Exponent,
     Floor,
     History,
+    NoiseByOrder,
     Overdispersion,
+    SessionBias,
+    StandardSecond,
 )
-from weberwhisk.behaviour.encodings import Encoding, Signals
-from weberwhisk.behaviour.likelihood import WeberModel
+from weberwhisk.behaviour.encodings import NOISES, Encoding, Signals
+from weberwhisk.behaviour.likelihood import WeberModel, build_model
 from weberwhisk.behaviour.predictive import checks
 
 Array = NDArray[np.float64]
@@ -63,8 +67,19 @@ def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = 
     match name:
         case "floor":
             sd1, sd2 = np.hypot(sd1, value), np.hypot(sd2, value)
+        case "exponent":
+            pairs = f[["standard", "stimulus_1", "stimulus_2"]].drop_duplicates()
+            middle = np.exp(np.log(pairs[["stimulus_1", "stimulus_2"]].to_numpy()).mean())
+            sd1, sd2 = (k * middle * (s / middle) ** value for s in (s1, s2))
+        case "noise_by_order":
+            sd1, sd2 = k * s1 * np.exp(-value / 2), k * s2 * np.exp(value / 2)
         case "contraction":
             m1 = s1 + value * (np.mean([s1, s2]) - s1)
+        case "standard_second":
+            second = np.where(s2 == f["standard"], 0.5, 0.0) - np.where(
+                s1 == f["standard"], 0.5, 0.0
+            )
+            sd1, sd2 = sd1 * np.exp(value * second), sd2 * np.exp(value * second)
         case "history":
             push = value * before
         case "drift":
@@ -93,15 +108,16 @@ def answered(name: str, value: float, seed: int, trials: int = 900) -> Trials:
 
 CASES: dict[str, tuple[Effect, float]] = {
     "floor": (Floor(), 0.3),
+    "exponent": (Exponent(), 1.5),
+    "noise_by_order": (NoiseByOrder(), -0.8),
     "contraction": (Contraction(), 0.2),
+    "standard_second": (StandardSecond(), 0.6),
     "history": (History(), 0.6),
     "drift": (Drift(), -1.0),
 }
 
 
 def model_of(trials: Trials, effect: Effect) -> WeberModel:
-    from weberwhisk.behaviour.likelihood import build_model
-
     return build_model(trials, None, None, "shared", "weber", None, [effect])[0]
 
 
@@ -130,11 +146,28 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     assert fit.status is FitStatus.DETERMINED
     low, high = fit.interval(0.99, parameter=name)
     assert low < value < high
-    assert not low < 0 < high
+    if name != "noise_by_order":  # nothing to be seen of it at this k
+        assert not low < (1 if name == "exponent" else 0) < high
     low, high = fit.interval(0.99)
     assert low < K < high
     assert fit.effects == (name,)
     assert name in fit.report()
+
+
+WIDE = {
+    "weber_fraction": 0.3, "offsets": [-0.6, -0.4, -0.2, 0.0, 0.3, 0.7, 1.5], "order": "random",
+    "trials_per_level": 200,
+}  # fmt: skip
+
+
+def test_noise_by_order_shows_in_wide_comparisons() -> None:
+    trials = simulate_trials(**WIDE, effects=[(NoiseByOrder(), -1.5)], seed=4)  # type: ignore[arg-type]
+    plain, fit = fit_weber(trials), fit_weber(trials, effects=[NoiseByOrder()])
+    assert plain.log_evidence is not None
+    assert fit.log_evidence is not None
+    assert fit.log_evidence > plain.log_evidence + 3
+    low, high = fit.interval(0.99, "noise_by_order")
+    assert low < -1.5 < high < 0
 
 
 # -- overdispersion -------------------------------------------------------------------------------
@@ -221,6 +254,108 @@ def test_coverage_with_overdispersion() -> None:
     with_it, without = coverage(400)
     assert with_it >= 0.92 * 400
     assert without < 0.92 * 400
+
+
+# -- biases by session ----------------------------------------------------------------------------
+
+
+def of_sessions(trials: Trials, at: dict[str, float]) -> float:
+    """Log-probability of all answers, the deviation of each session summed over an even grid."""
+    number = np.linspace(-9.0, 9.0, 4001)
+    step, total = number[1] - number[0], 0.0
+    for _, part in trials.frame.groupby("session"):
+        s1, s2, count = (part[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
+        d = (s2 - s1) / (at["k"] * np.hypot(s1, s2)) + at["bias"]
+        p = LOW + (1 - LOW - HIGH) * ndtr(d + at["sd"] * number[:, None])
+        log = stats.norm.logpdf(number) + np.log(np.where(count == 1, p, 1 - p)).sum(axis=1)
+        total += np.logaddexp.reduce(log) + np.log(step)
+    return float(total)
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.05, 0.3, 0.8, 3.0])
+@pytest.mark.parametrize(("k", "bias"), [(0.06, -0.4), (0.12, 0.1), (0.4, 0.6)])
+def test_biases_of_sessions_are_integrated_out(sd: float, k: float, bias: float) -> None:
+    trials = simulate_trials(
+        weber_fraction=K, bias=BIAS, lapse_low=LOW, lapse_high=HIGH, sessions=5,
+        effects=[(SessionBias(), 0.8)], seed=51,
+    )  # fmt: skip
+    model = model_of(trials, SessionBias())
+    one = np.array([k]), np.array([LOW]), np.array([HIGH]), np.array([[bias]]), np.array([[sd]])
+    exact = of_sessions(trials, {"k": k, "bias": bias, "sd": sd})
+    assert model.log_likelihood(*one)[0] == pytest.approx(exact, abs=2e-3)
+
+
+def test_the_bias_of_a_session_is_that_of_a_fit_of_it_alone() -> None:
+    """Where sessions are long they determine their biases, and the sd between them little else."""
+    trials = simulate_trials(
+        weber_fraction=K, sessions=4, effects=[(SessionBias(), 0.7)], trials_per_level=400, seed=52
+    )
+    known = {"weber_fraction": K, "lapse_low": 0.0, "lapse_high": 0.0}
+    wide = stats.halfnorm(scale=10.0)
+    fit = fit_weber(trials, effects=[SessionBias(wide)], priors=known)
+    table = fit.session_biases()
+    for session, bias, low, high in table.itertuples(index=False):
+        alone = fit_weber(trials.select(session=session), priors=known)
+        assert bias == pytest.approx(alone.posterior.mean("bias"), abs=0.01)
+        ends = alone.interval(parameter="bias")
+        np.testing.assert_allclose([low, high], ends, atol=0.03)
+    low, high = fit.interval(0.99, "session_bias")
+    assert low < table["bias"].std() < high
+    assert low > 0.1
+    with pytest.raises(ValueError, match=r"same in all sessions.*SessionBias"):
+        fit_weber(trials).session_biases()
+
+
+def test_sessions_of_a_known_case_differ_in_bias_and_k_stays() -> None:
+    """Ten sessions whose biases have an sd of 0.5, k 0.13 (drawn: 0.28 and 0.120)."""
+    rng = np.random.default_rng(0)
+    parts = []
+    for session in range(1, 11):
+        b, s2 = rng.normal(0, 0.5), rng.choice([70, 80, 90, 95, 105, 110, 125, 140], 200)
+        p = 0.02 + 0.96 * ndtr((s2 - 100) / (0.13 * np.hypot(100, s2)) + b)
+        choice = (rng.random(200) < p).astype(int)
+        columns = {"stimulus_1": 100, "stimulus_2": s2, "choice": choice}
+        labels = {"session": session, "trial": np.arange(1, 201)}
+        parts.append(pd.DataFrame(labels | columns))
+    trials = read_trials(pd.concat(parts, ignore_index=True))
+    plain, fit = fit_weber(trials), fit_weber(trials, effects=[SessionBias()])
+    assert fit.status is FitStatus.DETERMINED
+    assert plain.log_evidence is not None
+    assert fit.log_evidence is not None
+    assert fit.log_evidence - plain.log_evidence == pytest.approx(11.6, abs=0.1)
+    assert fit.weber_fraction == pytest.approx(0.120, abs=0.001)
+    assert checks(fit)["p"].min() > 0.01
+    with pytest.raises(ValueError, match=r"states.*one bias for all sessions"):
+        fit_weber(trials, effects=[SessionBias()], states=3)
+
+
+# -- noise that does not grow ---------------------------------------------------------------------
+
+
+def test_constant_noise_is_the_same_at_every_stimulus() -> None:
+    trials = simulate_trials(
+        standards=[1.0, 2.0, 4.0], weber_fraction=0.2, noise="constant", trials_per_level=100,
+        seed=61,
+    )  # fmt: skip
+    model = build_model(trials, None, None, "shared", "constant", None)[0]
+    cells = model.cells
+    typical = np.exp(np.log(np.r_[cells.stimulus_1, cells.stimulus_2]).mean())
+    z = (cells.stimulus_2 - cells.stimulus_1) / (0.2 * typical * np.sqrt(2))
+    p = ndtr(z)
+    exact = np.sum(cells.count * np.log(p) + (cells.n - cells.count) * np.log(1 - p))
+    one, none = np.array([0.2]), np.array([0.0])
+    assert model.log_likelihood(one, none, none, np.array([[0.0]]))[0] == pytest.approx(exact)
+    fits = {noise: fit_weber(trials, noise=noise) for noise in NOISES}
+    best = max(fits, key=lambda noise: fits[noise].log_evidence or 0.0)
+    assert best == "constant"
+    low, high = fits["constant"].interval(0.99)
+    assert low < 0.2 < high
+    exponent = fit_weber(trials, effects=[Exponent()]).interval(0.99, "exponent")
+    assert exponent[0] < 0 < exponent[1] < 0.5
+    at = fits["constant"].threshold(4.0)["difference"].iloc[0]
+    assert at == pytest.approx(fits["constant"].threshold(1.0)["difference"].iloc[0])
+    with pytest.raises(ValueError, match="noise grows with the stimulus"):
+        fit_weber(trials, effects=[Exponent()], noise="constant")
 
 
 # -- the other tasks ------------------------------------------------------------------------------

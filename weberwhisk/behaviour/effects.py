@@ -19,11 +19,12 @@ from .._util import checks
 from .._util.refusals import Refusal, named
 from .._util.values import Array, Fields, pd
 from .encodings import Encoding, Signals, UnitEncodings
-from .trials import Trials, needs_order, needs_rows, sessions_of
+from .trials import STIMULI, Trials, needs_order, needs_rows, needs_standards, sessions_of
 
 __all__ = [
-    "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Floor", "History", "Overdispersion",
-    "WinStay", "check_effects", "check_valued", "effect_named", "effect_valued",
+    "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Exponent", "Floor", "History",
+    "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "WinStay", "check_effects",
+    "check_valued", "effect_named", "effect_valued",
 ]  # fmt: skip
 
 
@@ -68,6 +69,10 @@ _PRIORS = {
     "drift": stats.norm(0.0, 0.5),
     "overdispersion": stats.beta(1.0, 15.0),
     "contraction": stats.norm(0.0, 0.3),
+    "noise_by_order": stats.norm(0.0, 0.7),
+    "standard_second": stats.norm(0.0, 0.7),
+    "exponent": stats.norm(1.0, 0.5),
+    "session_bias": stats.halfnorm(scale=0.5),
     "shift": stats.norm(0.0, 0.5),
 }
 
@@ -130,6 +135,110 @@ class Floor(Effect, Fields):
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Exponent(Effect, Fields):
+    """Noise that grows as a power of the signal: sd = k I₀ (I/I₀)^exponent; Weber's law is 1.
+
+    I₀ is the table's typical signal (geometric mean) unless given, and the Weber fraction is that
+    of such a signal; 0 is the same noise at every stimulus, ½ that of counts. Weber's law is also
+    the middle of the prior, so that 0 and 2 are two sds away. At one standard the exponent is known
+    from how lopsided the curve is, and then hardly apart from a bias.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(standards=[1, 4, 16], effects=[(Exponent(), 1.5)], seed=1)
+    >>> low, high = fit_weber(trials, effects=[Exponent()]).interval(parameter="exponent")
+    >>> 1 < low < 1.5 < high
+    True
+    """
+
+    prior: rv_frozen | float = _PRIORS["exponent"]
+    name: str = "exponent"
+    typical: float | None = None
+
+    def bound(self, encodings: UnitEncodings, n: Array) -> Exponent:
+        typical = _typical(encodings, "An exponent of the noise")
+        return self if self.typical is not None else replace(self, typical=typical)
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        power, typical = np.asarray(value) - 1, 1.0 if self.typical is None else self.typical
+        of_1, of_2 = (np.abs(m) / typical for m in (signals.shown_1, signals.shown_2))
+        return signals._replace(sd_1=signals.sd_1 * of_1**power, sd_2=signals.sd_2 * of_2**power)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseByOrder(Effect, Fields):
+    """The two intervals differ in noise: σ₁ e^(−v/2) and σ₂ e^(v/2), v = `noise_by_order`.
+
+    v is ln of the noise of the second interval over that of the first, beyond what their stimuli
+    make of it: negative where the first is blurred by waiting. The Weber fraction is the geometric
+    mean of both. Answers depend on the sum of the two variances, so that it shows only where
+    comparisons are several times their standards, or fractions of them.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(order="random", effects=[(NoiseByOrder(), -1)], seed=1,
+    ...                          offsets=[-0.5, -0.2, 0.2, 1.0], weber_fraction=0.3,
+    ...                          trials_per_level=300)
+    >>> low, high = fit_weber(trials, effects=[NoiseByOrder()]).interval(parameter="noise_by_order")
+    >>> low < -1 < high < 0
+    True
+    """
+
+    prior: rv_frozen | float = _PRIORS["noise_by_order"]
+    name: str = "noise_by_order"
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
+        needs_order(trials, "NoiseByOrder")
+        return None
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        half = np.exp(0.5 * np.asarray(value))
+        return signals._replace(sd_1=signals.sd_1 / half, sd_2=signals.sd_2 * half)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StandardSecond(Effect, Fields):
+    """Noise that depends on whether the standard came second: ln k changes by `standard_second`.
+
+    From k e^(−v/2) where the standard is stimulus 1 to k e^(v/2) where it is stimulus 2, as when a
+    first stimulus is judged by those of earlier trials (the Type B effect of Bausenhart, Dyjas &
+    Ulrich 2015). Pairs of equal stimuli lie between.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(order="random", effects=[(StandardSecond(), 0.7)], seed=1)
+    >>> fit = fit_weber(trials, effects=[StandardSecond()])
+    >>> low, high = fit.interval(parameter="standard_second")
+    >>> 0 < low < 0.7 < high
+    True
+    """
+
+    prior: rv_frozen | float = _PRIORS["standard_second"]
+    name: str = "standard_second"
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        needs_order(trials, "StandardSecond")
+        needs_standards(trials, "StandardSecond")
+        standard, s1, s2 = (trials.frame[c].to_numpy(float) for c in STIMULI)
+        column = 0.5 * ((s2 == standard).astype(float) - (s1 == standard))
+        seen = column[trials.answered]
+        if not (np.any(seen > 0) and np.any(seen < 0)):
+            raise Refusal(
+                f"{trials.source}: StandardSecond needs standards in either interval",
+                "those of one alone",
+                "leave it out",
+            )
+        return column
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        factor = np.exp(value * column)
+        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
+
+
 def _typical(encodings: UnitEncodings, what: str) -> float:
     """Geometric mean of the signals; refused where all are equally noisy."""
     sds = np.concatenate([encodings.sd_1, encodings.sd_2])
@@ -159,6 +268,36 @@ class Overdispersion(Effect, Fields):
 
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         return None if not trials.sessions else sessions_of(trials, "")[1].astype(float)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SessionBias(Effect, Fields):
+    """A bias of its own in every session: normal about the shared one, with sd `session_bias`.
+
+    A random effect: the biases of the sessions are integrated out, so that they take no parameter
+    each. `WeberFit.session_biases` has them. It touches the likelihood, not the signals; the unit
+    is that of the bias, or of the criterion.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(sessions=8, effects=[(SessionBias(), 0.5)], seed=1)
+    >>> fit = fit_weber(trials, effects=[SessionBias()])
+    >>> low, high = fit.interval(parameter="session_bias")
+    >>> low < 0.5 < high, len(fit.session_biases())
+    (True, 8)
+    """
+
+    prior: rv_frozen | float = _PRIORS["session_bias"]
+    name: str = "session_bias"
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        if not trials.task.has_bias:
+            raise Refusal(
+                f"{trials.task.name} has no response bias that sessions could differ in",
+                remedy="leave SessionBias out",
+            )
+        return sessions_of(trials, "SessionBias")[1].astype(float)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -315,8 +454,11 @@ class Covariate(Effect, Fields):
 
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
-    for effect in (Floor(), Contraction(), History(), WinStay(), Drift(), Overdispersion())
-}
+    for effect in (
+        Floor(), Exponent(), Contraction(), NoiseByOrder(), StandardSecond(), History(),
+        WinStay(), Drift(), SessionBias(), Overdispersion(),
+    )
+}  # fmt: skip
 
 
 def check_effects(effects: Any) -> None:
@@ -351,6 +493,10 @@ def check_valued(effects: Any) -> None:
         if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
             raise Refusal(
                 "overdispersion must lie between 0 and 1", checks.shown(value), "write 0.05, say"
+            )
+        if isinstance(effect, SessionBias) and np.any(values < 0):
+            raise Refusal(
+                "session_bias is an sd and must not be below 0", checks.shown(value), "write 0.3"
             )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import checks
-from .._util.refusals import Refusal
+from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Fields, Flags, Index
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PooledEncoding
@@ -23,11 +23,11 @@ __all__ = [
     "NOISES", "ConstantNoise", "Encoding", "IdentityEncoding", "LogAxisEncoding", "LogEncoding",
     "Signals", "UnitEncodings", "checked_encoding", "chosen_encoding", "condensed", "described",
     "encoding_for", "gives_signal", "in_words", "nodes_of", "refuse_out_of_reach",
-    "refuse_outside", "refuse_unencoded", "unit_encodings",
+    "refuse_outside", "refuse_unencoded", "unit_encodings", "with_noise",
 ]  # fmt: skip
 
 
-NOISES = ("weber", "equal-variance")
+NOISES = ("weber", "equal-variance", "constant")
 
 
 class Encoding(Protocol):
@@ -130,6 +130,11 @@ class ConstantNoise:
     """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
 
     `typical` is a signal of middling strength, so that k remains a fraction.
+
+    Examples
+    --------
+    >>> ConstantNoise(IdentityEncoding(), 2.0).sd_per_weber_fraction([1.0, 4.0])
+    array([2., 2.])
     """
 
     base: Encoding
@@ -151,7 +156,7 @@ class ConstantNoise:
 
     @property
     def described(self) -> str:
-        return f"{described(self.base)}, with the same noise at every distance"
+        return f"{described(self.base)}, with the same noise at every stimulus"
 
 
 #: Encodings of a distance in metres, or in units of so many.
@@ -288,7 +293,8 @@ class UnitEncodings(NamedTuple):
         sd_1, sd_2 = k * self.sd_1, k * self.sd_2
         if self.has_floor:
             sd_1, sd_2 = np.hypot(sd_1, self.floor_1), np.hypot(sd_2, self.floor_2)
-        return Signals(self.mean_1, sd_1, self.mean_2, sd_2)
+        shown = {"shown_1": self.mean_1, "shown_2": self.mean_2}
+        return Signals(self.mean_1, sd_1, self.mean_2, sd_2, **shown)
 
     @property
     def has_floor(self) -> bool:
@@ -308,7 +314,8 @@ class UnitEncodings(NamedTuple):
 class Signals(NamedTuple):
     """The two noisy signals of each cell: means and sds, and a shift towards "second greater".
 
-    `shift` adds to the decision variable, in its sds. Arrays that broadcast to (..., C).
+    `shift` adds to the decision variable, in its sds. `shown_1` and `shown_2` are the means before
+    any effect, by which noise goes. Arrays that broadcast to (..., C).
     """
 
     mean_1: Array
@@ -316,6 +323,8 @@ class Signals(NamedTuple):
     mean_2: Array
     sd_2: Array
     shift: Array | float = 0.0
+    shown_1: Array | float = np.nan
+    shown_2: Array | float = np.nan
 
 
 def unit_encodings(
@@ -328,21 +337,40 @@ def unit_encodings(
     """Both encoded stimuli of every cell, (C,), in the stimulus's own unit.
 
     With "weber" noise each interval has the sd of its own stimulus, as a receptor has;
-    "equal-variance" is the textbook form, where both have the sd of the standard.
+    "equal-variance" is the textbook form, where both have the sd of the standard; with "constant"
+    noise all have the sd of a typical stimulus.
     """
-    checks.one_of("noise", noise, NOISES)
+    encoding = with_noise(encoding, noise, (stimulus_1, stimulus_2))
     s1, s2, s0 = np.broadcast_arrays(
         *(np.asarray(s, float) for s in (stimulus_1, stimulus_2, standard))
     )
     sign = encoding.direction
-    if noise == "weber":
+    if noise != "equal-variance":
         sd_1, sd_2 = encoding.sd_per_weber_fraction(s1), encoding.sd_per_weber_fraction(s2)
     else:
         sd_1 = sd_2 = encoding.sd_per_weber_fraction(s0)
     means = sign * encoding.mean(s1), sign * encoding.mean(s2)
     floor_sd: Any = getattr(encoding, "floor_sd", None)
-    at = ((s1, s2) if noise == "weber" else (s0, s0)) if floor_sd else ()
+    at = ((s0, s0) if noise == "equal-variance" else (s1, s2)) if floor_sd else ()
     return UnitEncodings(means[0], sd_1, means[1], sd_2, *map(floor_sd, at))
+
+
+def with_noise(encoding: Encoding, noise: str, stimuli: tuple[ArrayLike, ArrayLike]) -> Encoding:
+    """The encoding, whose noise is the same at every stimulus where it is to be "constant": that of
+    the geometric mean of the signals of pairs of stimuli."""
+    checks.one_of("noise", noise, NOISES)
+    if noise != "constant" or isinstance(encoding, ConstantNoise | LogAxisEncoding):
+        return encoding
+    signals = np.abs(encoding.mean(np.concatenate([np.ravel(s) for s in stimuli])))
+    if not signals.size:
+        return encoding
+    if np.any(signals == 0):
+        raise Refusal(
+            argument("noise", noise) + " is in units of a typical signal, a geometric mean",
+            "a signal of 0",
+            "leave these trials out, or " + named("noise"),
+        )
+    return ConstantNoise(encoding, float(np.exp(np.mean(np.log(signals)))))
 
 
 def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:

@@ -20,10 +20,10 @@ from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
 from .tasks import SignedChoice
-from .trials import STIMULI, Trials, needs_standards
+from .trials import STIMULI, Trials, needs_standards, sessions_of
 from .verdict import FitStatus, lapse_sensitivity
 
-__all__ = ["Estimates", "check_fit", "compared", "tails"]
+__all__ = ["Estimates", "by_session", "check_fit", "compared", "tails"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -359,6 +359,25 @@ def tails(mass: float) -> tuple[float, float]:
     hint = f"write fit.interval(parameter={mass!r})" if isinstance(mass, str) else "write 0.95, say"
     value = checks.between("mass", mass, hint)
     return 0.5 - value / 2, 0.5 + value / 2
+
+
+def by_session(fit: Estimates, mass: float) -> pd.DataFrame:
+    """The bias of each session with its interval."""
+    model = fit.model
+    if model.by_session is None:
+        raise Refusal(
+            "the bias is the same in all sessions of this fit",
+            remedy="fit with effects=[SessionBias()], from weberwhisk.behaviour.effects",
+        )
+    draws = fit.posterior.reproducible_draws().thinned(2000)
+    bias = model.session_deviations(draws)
+    if model.n_groups == 1:
+        bias = bias + draws.bias
+    sessions, place = sessions_of(fit.trials, "SessionBias")
+    with_answers = np.unique(place[fit.trials.answered])
+    low, high = np.quantile(bias, tails(mass), axis=0)
+    labels = [sessions[i] for i in with_answers]
+    return pd.DataFrame({"session": labels, "bias": bias.mean(axis=0), "lower": low, "upper": high})
 
 
 def _quantiles(sample: Array, at: Array) -> Array:

@@ -18,7 +18,7 @@ from . import criticism, predictive, report
 from .arviz_data import observer_data
 from .effects import Effect
 from .encodings import NOISES, Encoding
-from .estimates import Estimates, tails
+from .estimates import Estimates, by_session, tails
 from .importance import ImportancePosterior, Target
 from .likelihood import build_model
 from .located import at_touches
@@ -79,6 +79,22 @@ class WeberFit(Estimates):
     def unchecked(self) -> FitStatus:
         """The status without the checks, at once."""
         return self._verdict[0]
+
+    def session_biases(self, mass: float = 0.95) -> pd.DataFrame:
+        """The bias of each session, of a fit with the effect `SessionBias`.
+
+        Returns
+        -------
+        DataFrame
+            `session`, `bias` (posterior mean), `lower`, `upper`; with a bias per standard, how far
+            the session is from these.
+
+        Raises
+        ------
+        ValueError
+            Of a fit without the effect.
+        """
+        return by_session(self, mass)
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
@@ -199,8 +215,9 @@ def fit_weber(
     bias : {"none", "shared", "per standard"}, optional
         "shared" by default; percent-correct tasks have none. Of yes/no, go/no-go and
         same–different tasks it is the criterion.
-    noise : {"weber", "equal-variance"}
-        Each interval has the sd of its own stimulus, or both have that of the standard (textbook).
+    noise : {"weber", "equal-variance", "constant"}
+        Each interval has the sd of its own stimulus, or both have that of the standard (textbook),
+        or all stimuli have the same, k times their geometric mean.
     effects : sequence of Effect
         What else may move the answers, a parameter each, such as drift over sessions or history:
         see `weberwhisk.behaviour.effects`.

@@ -14,7 +14,7 @@ from scipy.special import gammaln
 from .._util import checks
 from .._util.refusals import Refusal, argument, call, named
 from .._util.values import Array, Fields, Index
-from .effects import Effect, Overdispersion, check_effects
+from .effects import Effect, Overdispersion, SessionBias, check_effects
 from .encodings import (
     Encoding,
     Signals,
@@ -24,9 +24,11 @@ from .encodings import (
     encoding_for,
     refuse_unencoded,
     unit_encodings,
+    with_noise,
 )
 from .located import over_places
 from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
+from .session_bias import BiasedSessions, chunks
 from .tasks import Task
 from .trials import Cells, Trials, check_trials, needs_standards
 
@@ -225,16 +227,28 @@ class WeberModel(Fields):
         return self.fixed_bias()
 
     def probability(
-        self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
+        self,
+        k: Array,
+        low: Array,
+        high: Array,
+        bias: Array,
+        effects: Array | None = None,
+        deviation: Array | float = 0.0,
     ) -> tuple[Array, Array]:
         """P and 1 − P of every cell, (..., C), for k and lapses (...), biases (..., G), effects
-        (..., E).
+        (..., E), and what is added to the bias of a cell (..., C).
 
         Both are computed without subtraction from 1, so neither loses its tail.
         """
-        low, high = (a[..., None] for a in self.lapses(low, high))
         d, weight = self.decide(k, effects)
-        up, down = self.task.chance(d, weight * bias[..., self.group])
+        return self.with_lapses(d, weight * (bias[..., self.group] + deviation), low, high)
+
+    def with_lapses(
+        self, d: Array, bias: Array | float, low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """P and 1 − P at decision variables (..., C) moved by biases, for lapses (...)."""
+        low, high = (a[..., None] for a in self.lapses(low, high))
+        up, down = self.task.chance(d, bias)
         return (
             np.maximum(low * down + (1 - high) * up, TINY),
             np.maximum((1 - low) * down + high * up, TINY),
@@ -243,24 +257,91 @@ class WeberModel(Fields):
     @cached_property
     def dispersed(self) -> int | None:
         """Which effect is the overdispersion, if there is one."""
-        found = [i for i, e in enumerate(self.effects) if isinstance(e, Overdispersion)]
-        return found[0] if found else None
+        return self._place_of(Overdispersion)
+
+    @cached_property
+    def by_session(self) -> int | None:
+        """Which effect is the bias that differs by session, if there is one."""
+        return self._place_of(SessionBias)
+
+    def _place_of(self, kind: type[Effect]) -> int | None:
+        return next((i for i, e in enumerate(self.effects) if isinstance(e, kind)), None)
 
     def log_likelihood(
         self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
     ) -> Array:
         """Log-probability of the sequence of answers, (...); binomial coefficients left out."""
-        return self.cell_log_likelihood(k, low, high, bias, effects).sum(axis=-1)
+        if self.by_session is None:
+            return self.cell_log_likelihood(k, low, high, bias, effects).sum(axis=-1)
+        assert effects is not None
+        shape = np.shape(k)
+        flat = Draws(
+            *(np.reshape(np.broadcast_to(a, shape), -1) for a in (k, low, high)),
+            *(np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1])
+              for a in (bias, effects)),
+        )  # fmt: skip
+        of_parts = [self._sessions(flat.at(part)).log_marginal()
+                    for part in chunks(len(flat), self.cells.n.size)]  # fmt: skip
+        return np.concatenate([np.zeros(0), *of_parts]).reshape(shape)
 
     def cell_log_likelihood(
-        self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
+        self,
+        k: Array,
+        low: Array,
+        high: Array,
+        bias: Array,
+        effects: Array | None = None,
+        deviation: Array | float = 0.0,
     ) -> Array:
-        """The same by cell, (..., C)."""
-        p, q = self.probability(k, low, high, bias, effects)
+        """The same by cell, (..., C), given what is added to the bias of each."""
+        p, q = self.probability(k, low, high, bias, effects, deviation)
+        return self.log_of_cells(p, q, effects)
+
+    def log_of_cells(self, p: Array, q: Array, effects: Array | None) -> Array:
+        """Log-probability of the answers to each cell, of P and 1 − P (..., C)."""
         if self.dispersed is None:
             return self.cells.count * np.log(p) + (self.cells.n - self.cells.count) * np.log(q)
         assert effects is not None
         return self.beta_binomial(p, q, effects[..., self.dispersed, None])
+
+    # -- biases by session -------------------------------------------------------------------------
+
+    @cached_property
+    def _session(self) -> Index:
+        """The session of each cell, numbered from 0 among those with answers."""
+        assert self.by_session is not None
+        labels = self.columns[self.by_session]
+        return np.unique(labels, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def _sorted(self) -> tuple[Index, Index]:
+        """Cells by session, and where those of each begin."""
+        order = np.argsort(self._session, kind="stable")
+        return order, np.flatnonzero(np.diff(self._session[order], prepend=-1))
+
+    def _sessions(self, draws: Draws) -> BiasedSessions:
+        """The sessions, given draws of the rest."""
+        assert self.by_session is not None
+        d, weight = self.decide(draws.weber_fraction, draws.effects)
+        answers = SessionAnswers(self, draws, d, weight, self._session, *self._sorted)
+        return BiasedSessions(answers, draws.effects[:, self.by_session, None])
+
+    def session_deviations(self, draws: Draws, seed: int = 0) -> Array:
+        """How far the bias of each session is from the shared one, drawn given the rest and all
+        answers, (N, S); the same whenever they are drawn."""
+        sessions = int(self._session.max(initial=-1)) + 1
+        uniform = np.random.default_rng(seed).random((len(draws), sessions))
+        return np.concatenate([
+            np.zeros((0, sessions)),
+            *(self._sessions(draws.at(part)).drawn(uniform[part])
+              for part in chunks(len(draws), 4 * self.cells.n.size)),
+        ])  # fmt: skip
+
+    def _deviation(self, draws: Draws) -> Array | float:
+        """What the sessions add to the bias of each cell, (N, C)."""
+        if self.by_session is None:
+            return 0.0
+        return self.session_deviations(draws)[:, self._session]
 
     def beta_binomial(self, p: Array, q: Array, rho: Array) -> Array:
         """Log-probability of the answers of a cell whose P has a beta distribution, (..., C)."""
@@ -272,7 +353,7 @@ class WeberModel(Fields):
 
     def simulate(self, draws: Draws, rng: np.random.Generator) -> Array:
         """Counts that observers with these parameters would give to the same trials, (N, C)."""
-        p, q = self.probability(*draws.values)
+        p, q = self.expected(draws)
         if self.dispersed is not None:
             rho = np.maximum(draws.effects[:, self.dispersed, None], RHO_TINY)
             p = rng.beta(*(np.maximum(side * (1 - rho) / rho, TINY) for side in (p, q)))
@@ -281,15 +362,15 @@ class WeberModel(Fields):
 
     def expected(self, draws: Draws) -> tuple[Array, Array]:
         """P of either answer to each cell, (N, C)."""
-        return self.probability(*draws.values)
+        return self.probability(*draws.values, deviation=self._deviation(draws))
 
     def log_said(self, draws: Draws) -> Array:
         """Log-probability of the answers to each cell, (N, C)."""
-        return self.cell_log_likelihood(*draws.values)
+        return self.cell_log_likelihood(*draws.values, deviation=self._deviation(draws))
 
     def by_row(self, draws: Draws, cell: Index) -> tuple[Array, Array]:
         """The same of rows with these cells, (N, R)."""
-        p, q = self.probability(*draws.values)
+        p, q = self.expected(draws)
         return p[:, cell], q[:, cell]
 
     def log_bias_prior(self, bias: Array) -> Array:
@@ -347,6 +428,35 @@ class WeberModel(Fields):
         """Every standard with its part of the model."""
         for standard in np.unique(self.cells.standard):
             yield float(standard), self.subset(float(standard))
+
+
+@dataclass(frozen=True)
+class SessionAnswers:
+    """The answers of a model by session, given draws of all but the deviations of the bias.
+
+    `d` and `weight` are those of `WeberModel.decide`, `session` (C,) that of each cell; `order`
+    sorts cells by it, and those of a session begin at `starts` (S,).
+    """
+
+    model: WeberModel
+    draws: Draws
+    d: Array
+    weight: Array | float
+    session: Index
+    order: Index
+    starts: Index
+
+    @property
+    def sessions(self) -> int:
+        return self.starts.size
+
+    def log_likelihood(self, deviation: Array) -> Array:
+        """Of each session, for deviations (N, S)."""
+        draws = self.draws
+        bias = self.weight * (draws.bias[:, self.model.group] + deviation[:, self.session])
+        p, q = self.model.with_lapses(self.d, bias, draws.lapse_low, draws.lapse_high)
+        log = self.model.log_of_cells(p, q, draws.effects)
+        return np.asarray(np.add.reduceat(log[:, self.order], self.starts, axis=1))
 
 
 def gather(
@@ -444,7 +554,11 @@ def names_by_standard(label: str, standards: Array) -> tuple[str, ...]:
 def encoding_of(trials: Trials, encoding: Encoding | None, observer: Any, noise: str) -> Encoding:
     """The encoding of a fit: the one given, or that of a whisker, or what the table calls for."""
     given = chosen_encoding(encoding, observer)
-    return encoding_for(trials.scale, trials.log_unit, noise) if given is None else given
+    chosen = encoding_for(trials.scale, trials.log_unit, noise) if given is None else given
+    if noise != "constant":
+        return chosen
+    cells = trials.cells()
+    return with_noise(chosen, noise, (cells.stimulus_1, cells.stimulus_2))
 
 
 def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:

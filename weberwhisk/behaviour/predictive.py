@@ -102,7 +102,8 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
 
 def _can_have_states(fit: Estimates) -> bool:
     model = fit.model
-    plain = model.n_states == 1 and model.task.has_bias and model.dispersed is None
+    plain = model.n_states == 1 and model.task.has_bias
+    plain = plain and model.dispersed is None and model.by_session is None
     return fit.trials.course.is_known and plain and fit.log_evidence is not None
 
 

@@ -105,12 +105,13 @@ class Priors(Fields):
                 f"support {low:g} to {high:g}",
                 "give for example scipy.stats.lognorm(1.1, scale=0.1)",
             )
-        if "floor" in self and self.support("floor")[0] < 0:
-            raise Refusal(
-                "the prior of floor must not reach below zero",
-                f"support from {self.support('floor')[0]:g}",
-                "give for example scipy.stats.halfnorm(scale=0.1)",
-            )
+        for name in ("floor", "session_bias"):
+            if name in self and self.support(name)[0] < 0:
+                raise Refusal(
+                    f"the prior of {name} must not reach below zero",
+                    f"support from {self.support(name)[0]:g}",
+                    "give for example scipy.stats.halfnorm(scale=0.1)",
+                )
         for name in ("lapse_low", "lapse_high", "overdispersion"):
             if name not in self:
                 continue

@@ -55,7 +55,7 @@ def response_probability(
     effects : sequence of (effect, value), optional
         Effects with the values of their parameters (...), at a column of 0: mid-course, with no
         answer before. Those of a fit's model have their scale; `Contraction()` has a centre of 0.
-    noise : {"weber", "equal-variance"}
+    noise : {"weber", "equal-variance", "constant"}
 
     Examples
     --------

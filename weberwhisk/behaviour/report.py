@@ -217,6 +217,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
 _NOISE = {
     "weber": "an sd of the Weber fraction k times its own signal",
     "equal-variance": "the sd that the standard's signal gives, k times it",
+    "constant": "the same sd at every stimulus, k times their geometric mean",
 }
 
 

@@ -15,7 +15,7 @@ from scipy.stats import beta
 from .._util import checks
 from .._util.refusals import Refusal, argument, named
 from .._util.values import Array
-from .effects import Effect, History, Overdispersion, check_valued
+from .effects import Effect, History, Overdispersion, SessionBias, check_valued
 from .encodings import (
     Encoding,
     IdentityEncoding,
@@ -91,7 +91,7 @@ def simulate_trials(
         How a stimulus is encoded, any cue and any noise; the magnitude itself by default.
     observer : Observer, optional
         A whisker and a cue: short for `encoding=CueEncoding(observer)`.
-    noise : {"weber", "equal-variance"}
+    noise : {"weber", "equal-variance", "constant"}
     effects : sequence of (Effect, float)
         What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
         `weberwhisk.behaviour.effects`.
@@ -314,6 +314,10 @@ def responses(
         return p
 
     scatter = rng.random(len(frame)) if effects else np.zeros(0)
+    for (effect, value), column in zip(bound, columns, strict=True):
+        if isinstance(effect, SessionBias) and column is not None:
+            of_sessions = ndtri(rng.random(int(column.max(initial=0)) + 1))
+            bias = bias + value * of_sessions[column.astype(np.intp)]
     if not any(isinstance(effect, History) for effect, _ in bound):
         return (uniform < probability(0.0)).astype(float)
     after = (uniform < np.stack([probability(b) for b in (0.0, 1.0, -1.0)])).astype(int)

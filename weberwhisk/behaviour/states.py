@@ -383,6 +383,12 @@ def with_states(model: WeberModel, trials: Trials, encoding: Encoding, n_states:
             "the effect Overdispersion",
             "leave it out",
         )
+    if model.by_session is not None:
+        raise Refusal(
+            argument("states", n_states) + " goes with one bias for all sessions",
+            "the effect SessionBias",
+            "leave it out",
+        )
     answered = trials.answered
     cell = np.zeros(len(frame), dtype=np.intp)
     cell[answered] = gather(trials, model.effects, encoding)[2]

@@ -90,7 +90,7 @@ class SignedChoice(Task):
     is_difference = True
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, shift = encoded
+        m1, s1, m2, s2, shift = encoded[:5]
         return (m2 - m1) / np.hypot(s1, s2) + shift, 1.0
 
 
@@ -133,7 +133,7 @@ class PercentCorrect(Task):
         return 1.0 / self.alternatives
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, shift = encoded
+        m1, s1, m2, s2, shift = encoded[:5]
         gap = np.abs(m2 - m1)
         if self.alternatives == 2:
             return gap / np.hypot(s1, s2) + shift, 0.0
@@ -174,7 +174,7 @@ class YesNo(Task):
     bias_name: str | None = "criterion"
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, shift = encoded
+        m1, s1, m2, s2, shift = encoded[:5]
         return (m2 - m1) / s2 + shift, -s1 / s2
 
     def decision_sd(self, encoded: Signals) -> Array:
@@ -201,7 +201,7 @@ class SameDifferent(Task):
     bias_name: str | None = "criterion"
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, shift = encoded
+        m1, s1, m2, s2, shift = encoded[:5]
         spread = np.hypot(s1, s2)
         return np.abs(m2 - m1) / spread + shift, -np.sqrt(2.0) * s1 / spread
 

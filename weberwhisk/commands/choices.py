@@ -184,11 +184,12 @@ def fit(
         opt.Text, "Sessions by name, or such as 31-40 or 1,2.", {"metavar": "LIST"}
     ] = None,
     bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
-    noise: Annotated[str, "weber or equal-variance."] = "weber",
+    noise: Annotated[str, "weber, equal-variance or constant."] = "weber",
     effect: Annotated[
         opt.Texts,
-        "What else moves the answers: floor, contraction, history, win_stay, drift, "
-        "overdispersion; covariate:COLUMN is another column's; may be repeated.",
+        "What else moves the answers: floor, exponent, contraction, noise_by_order, "
+        "standard_second, history, win_stay, drift, session_bias, overdispersion; covariate:COLUMN "
+        "is another column's; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     states: Annotated[

@@ -51,7 +51,7 @@ class Hypothesis(Fields):
     bias : {"none", "shared", "per standard"}
         A bias that differs between standards would pass for a difference between JND curves: here
         each standard has its own, where a fit by itself shares one.
-    noise : {"weber", "equal-variance"}
+    noise : {"weber", "equal-variance", "constant"}
     task : str
         As for `read_trials`.
 
