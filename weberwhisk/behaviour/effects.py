@@ -461,6 +461,11 @@ EFFECTS: dict[str, Effect] = {
 }  # fmt: skip
 
 
+def is_formula(effect: object) -> bool:
+    """Whether an effect is written as a formula, such as `k ~ condition`."""
+    return isinstance(effect, str) and "~" in effect
+
+
 def check_effects(effects: Any) -> None:
     """Refuses what is not a sequence of effects, with what to write instead."""
     if isinstance(effects, str) or not isinstance(effects, Sequence):
@@ -470,6 +475,8 @@ def check_effects(effects: Any) -> None:
             "write effects=[Drift()], say, with Drift from weberwhisk.behaviour.effects",
         )
     for effect in effects:
+        if is_formula(effect):
+            continue
         usual = EFFECTS.get(effect) if isinstance(effect, str) else None
         instead = type(usual).__name__ if usual else getattr(effect, "__name__", "Drift")
         checks.kind(
@@ -489,7 +496,8 @@ def check_valued(effects: Any) -> None:
         ) from None
     check_effects([effect for effect, _ in pairs])
     for effect, value in pairs:
-        values = checks.finite(f"the value of {effect.name}", value, hint)
+        named_so = effect if is_formula(effect) else effect.name
+        values = checks.finite(f"the value of {named_so}", value, hint)
         if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
             raise Refusal(
                 "overdispersion must lie between 0 and 1", checks.shown(value), "write 0.05, say"
@@ -500,8 +508,8 @@ def check_valued(effects: Any) -> None:
             )
 
 
-def effect_named(name: str) -> Effect:
-    """An effect by its name, with the prior that it brings.
+def effect_named(name: str) -> Effect | str:
+    """An effect by its name, with the prior that it brings; a formula as it is.
 
     `covariate:laser` is that of a column on the bias, `covariate:laser:weber_fraction` on k.
 
@@ -515,6 +523,8 @@ def effect_named(name: str) -> Effect:
     >>> effect_named("drift").prior.std()
     np.float64(0.5)
     """
+    if is_formula(name):
+        return name
     kind, _, column = name.partition(":")
     if kind == "covariate":
         if not column:
@@ -524,7 +534,7 @@ def effect_named(name: str) -> Effect:
     return EFFECTS[checks.one_of("effect", name, EFFECTS)]
 
 
-def effect_valued(text: str) -> tuple[Effect, float]:
+def effect_valued(text: str) -> tuple[Effect | str, float]:
     """An effect by its name with the value of its parameter after a colon.
 
     Raises

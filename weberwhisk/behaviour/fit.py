@@ -193,7 +193,7 @@ def fit_weber(
     observer: Any = None,
     bias: str | None = None,
     noise: str = "weber",
-    effects: Sequence[Effect] = (),
+    effects: Sequence[Effect | str] = (),
     states: int = 1,
     priors: Any = None,
     method: str | None = None,
@@ -218,9 +218,10 @@ def fit_weber(
     noise : {"weber", "equal-variance", "constant"}
         Each interval has the sd of its own stimulus, or both have that of the standard (textbook),
         or all stimuli have the same, k times their geometric mean.
-    effects : sequence of Effect
+    effects : sequence of Effect, or str
         What else may move the answers, a parameter each, such as drift over sessions or history:
-        see `weberwhisk.behaviour.effects`.
+        see `weberwhisk.behaviour.effects`. Also formulas of columns of the table,
+        `"k ~ condition"` or `"bias ~ block"`, a parameter a level after the first.
     states : {1, 2, 3}
         States of the animal, which last some trials each: engaged, and with 2 one in which its
         answers have nothing to do with the stimuli, with 3 two in which it answers nearly always

@@ -26,6 +26,7 @@ from .encodings import (
     unit_encodings,
     with_noise,
 )
+from .formula import expanded
 from .located import over_places
 from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
 from .session_bias import BiasedSessions, chunks
@@ -476,7 +477,7 @@ def build_model(
     bias: str | None,
     noise: str,
     priors: Any,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[Effect | str] = (),
     further: Mapping[str, Any] | None = None,
 ) -> tuple[WeberModel, Encoding, str]:
     """The model of a fit, its encoding, and the bias chosen; `further` parameters have priors."""
@@ -500,7 +501,8 @@ def build_model(
         )
     if chosen == "per standard":
         needs_standards(trials, argument("bias", bias))
-    cells, columns, _ = gather(trials, tuple(effects), encoded)
+    effects = expanded(effects, trials)
+    cells, columns, _ = gather(trials, effects, encoded)
     both = pairs_shown(cells, encoded, noise)
     if cells.sd_1 is not None:
         both = over_places(task, encoded, cells, both, noise)

@@ -27,13 +27,14 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
+from .formula import expanded
 from .states import States
 from .tasks import Task, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 __all__ = [
     "SIGNED_OFFSETS", "draw_animals", "simulate_population", "simulate_responses",
-    "simulate_trials",
+    "simulate_trials", "valued_effects",
 ]  # fmt: skip
 
 ORDERS = ("standard first", "random")
@@ -55,7 +56,7 @@ def simulate_trials(
     encoding: Encoding | None = None,
     observer: Any = None,
     noise: str = "weber",
-    effects: Sequence[tuple[Effect, float]] = (),
+    effects: Sequence[tuple[Effect | str, ArrayLike]] = (),
     states: States | None = None,
     order: str = "standard first",
     sessions: int = 1,
@@ -94,7 +95,7 @@ def simulate_trials(
     noise : {"weber", "equal-variance", "constant"}
     effects : sequence of (Effect, float)
         What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
-        `weberwhisk.behaviour.effects`.
+        `weberwhisk.behaviour.effects`. A formula has a number a term: `[("k ~ session", 0.2)]`.
     states : States, optional
         An animal that is engaged part of the time; `state` of the table says when: "engaged",
         "low" or "high".
@@ -125,8 +126,6 @@ def simulate_trials(
     """
     chosen = task_named(task)
     check_valued(effects)
-    for effect, value in effects:
-        checks.number(f"the value of {effect.name}", value, "write 0.2, say")
     checks.one_of("order", order, ORDERS)
     if order == "random" and chosen.bias_name != "bias":
         raise Refusal(
@@ -270,7 +269,7 @@ def responses(
     lapse_high: Array | float,
     bias: Array,
     noise: str,
-    effects: Sequence[tuple[Effect, float]],
+    effects: Sequence[tuple[Effect | str, ArrayLike]],
     uniform: Array,
     rng: np.random.Generator,
 ) -> Array:
@@ -285,7 +284,7 @@ def responses(
     which = which.reshape(-1)
     n = np.bincount(which, ~silent).astype(float)
     both = unit_encodings(encoding, pairs[:, 0], pairs[:, 1], pairs[:, 2], noise)
-    bound = [(e.bound(both, n), float(value)) for e, value in effects]
+    bound = [(e.bound(both, n), value) for e, value in valued_effects(effects, trials)]
     own = both.of(which)
     scaled = UnitEncodings(
         own.mean_1, weber_fraction * own.sd_1, own.mean_2, weber_fraction * own.sd_2, *own[4:]
@@ -329,6 +328,22 @@ def responses(
         answer[i] = after[last, i]
         last = 0 if silent[i] else (1 if answer[i] else -1)
     return answer
+
+
+def valued_effects(
+    effects: Sequence[tuple[Effect | str, ArrayLike]], trials: Trials
+) -> list[tuple[Effect, float]]:
+    """Effects with a number each, formulas with one a term."""
+    pairs: list[tuple[Effect, float]] = []
+    for effect, value in effects:
+        terms, values = expanded([effect], trials), np.atleast_1d(np.asarray(value, dtype=float))
+        if values.shape != (len(terms),):
+            names = ", ".join(term.name for term in terms)
+            raise Refusal(
+                f"effects have a number each, in this order: {names}", checks.shown(value)
+            )
+        pairs += zip(terms, values.tolist(), strict=True)
+    return pairs
 
 
 def simulate_population(

@@ -193,7 +193,7 @@ SPELLED = {
     "columns": Spelled("column", _pairs),
     "units": Spelled("unit", _pairs),
     "choice_labels": Spelled("label", _pairs),
-    "effects": Spelled("effect", lambda effects: [quote(effect.by_name) for effect in effects]),
+    "effects": Spelled("effect", lambda all_: [*dict.fromkeys(quote(e.by_name) for e in all_)]),
     "priors": Spelled("lapse_prior", _lapse_prior),
     "curvature": Spelled("curvature_per_m"),
     "curved": Spelled("curvature_per_m", lambda curved: "own" if curved else "0"),

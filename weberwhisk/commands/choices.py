@@ -76,7 +76,7 @@ def simulate(
     """
     inputs = opt.as_asked(locals())
     from ..behaviour.effects import effect_valued
-    from ..behaviour.simulate import SIGNED_OFFSETS
+    from ..behaviour.simulate import SIGNED_OFFSETS, valued_effects
     from ..behaviour.trials import STIMULI
 
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
@@ -116,8 +116,9 @@ def simulate(
         true_values = dict(truth)
         if animals is not None:
             true_values |= {"spread": spread, "animals": animals.to_dict("records")}
+        by_name = {e.name: value for e, value in valued_effects(effects, trials)}
         if effects:
-            true_values |= {"effects": {e.name: value for e, value in effects}}
+            true_values |= {"effects": by_name}
         true_values |= {
             "standards": base, "offsets": SIGNED_OFFSETS if levels is None else levels,
             "order": order, "task": trials.task.name, "seed": seed,
@@ -129,7 +130,7 @@ def simulate(
                 unit = "mm" if encoding else ""
                 free = {name: truth[name] for name in trials.task.lapses}
                 free |= {"bias": bias} if trials.task.has_bias else {}
-                free |= {e.name: value for e, value in effects}
+                free |= by_name
                 exact = ww.fit_weber(
                     trials, encoding=encoding, effects=[e for e, _ in effects],
                     priors={"weber_fraction": weber_fraction, **free},
@@ -189,7 +190,8 @@ def fit(
         opt.Texts,
         "What else moves the answers: floor, exponent, contraction, noise_by_order, "
         "standard_second, history, win_stay, drift, session_bias, overdispersion; covariate:COLUMN "
-        "is another column's; may be repeated.",
+        "is another column's, and so is a formula, 'k ~ condition' or 'bias ~ block'; may be "
+        "repeated.",
         {"metavar": "NAME"},
     ] = None,
     states: Annotated[
