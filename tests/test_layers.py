@@ -55,6 +55,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "": ("plots", "sweeping"),
     "commands": ("",),
     "cli": ("commands",),
+    "__main__": ("cli",),
 }
 ONLY_IN = {
     "emcee": "_util.sampling",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from command_lines import SOFT, answer, refused, rows
 
 import weberwhisk as ww
 from weberwhisk import cli
+from weberwhisk.behaviour.effects import EFFECTS
 from weberwhisk.cli import run_app
 
 
@@ -86,6 +89,23 @@ def test_simulate_prints_its_table_or_where_it_is(
     assert len(lines) == 4
     assert run_app(cli.app, [*short, "--out", str(tmp_path)]) == 0
     assert f"Written to {tmp_path}: trials.csv" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_simulate_draws_the_curve_of_every_effect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """At the true values, where the fit has nothing to fit."""
+    design = ["--sessions", "2", "--trials-per-level", "5", "--out", str(tmp_path)]
+    assert run_app(cli.app, ["simulate", *design, "--effect", f"{name}:0.1"]) == 0
+    assert "trials.png" in capsys.readouterr().out
+    assert json.loads((tmp_path / "truth.json").read_text("utf-8"))["effects"] == {name: 0.1}
+
+
+def test_python_runs_the_package_as_its_command() -> None:
+    asked = [sys.executable, "-m", "weberwhisk", "--version"]
+    said = subprocess.run(asked, capture_output=True, text=True, check=True)
+    assert said.stdout.split()[-1] == ww.__version__
 
 
 def write(path: Path, *lines: str) -> str:

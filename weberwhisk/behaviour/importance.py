@@ -19,7 +19,7 @@ from .._util.importance import SobolPoints, WeightedDraws, adapted_draws
 from .._util.values import Array, Fields, Index, weighted_quantiles
 from .axes import log_lapses_possible
 from .likelihood import Draws, WeberModel
-from .posteriors import fraction_curve, refuse_all_fixed, split
+from .posteriors import fraction_curve, split
 
 __all__ = ["ImportancePosterior", "Target"]
 
@@ -83,7 +83,8 @@ class Target:
 
     def weighted(self, effective: float = EFFECTIVE, size: int = PASS) -> WeightedDraws:
         """Draws worth so many independent ones; the same whenever they are made."""
-        refuse_all_fixed(self.start[0].size)
+        if not self.start[0].size:  # every parameter is given: the posterior is one point
+            return WeightedDraws(np.zeros((1, 0)), self.log_density(np.zeros((1, 0))))
         points = SobolPoints(self.start[0].size + 1, seed=0)
         return adapted_draws(
             self.log_density, *self.start, points, effective=effective, size=size
@@ -117,7 +118,7 @@ class ImportancePosterior(Fields):
 
     @property
     def error(self) -> float:
-        return float(self.weighted.effective**-0.5)
+        return float(self.weighted.effective**-0.5) if self.weighted.values.size else 0.0
 
     @property
     def trouble(self) -> str:
@@ -154,7 +155,8 @@ class ImportancePosterior(Fields):
         rng = np.random.default_rng(0)
         density = self.target.log_density
         near = self.weighted.resampled(1000, rng)
-        root = np.linalg.cholesky(np.cov(near.T) + 1e-8 * np.eye(near.shape[1]))
+        spread = np.cov(near.T) if near.size else np.zeros((0, 0))
+        root = np.linalg.cholesky(spread + 1e-8 * np.eye(near.shape[1]))
         best = near.mean(axis=0)
         for scale in 0.7 ** np.arange(16):
             near = best + scale * rng.standard_normal((200, best.size)) @ root.T
