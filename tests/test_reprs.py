@@ -21,7 +21,7 @@ CONF = Path(__file__).parent.parent / "docs" / "conf.py"
 #: The modules whose public names the reference lists.
 PUBLIC = re.findall(r'^    "weberwhisk\.(.+?)":', CONF.read_text("utf-8"), re.M)
 #: Protocols, rows of named numbers, and a filter of many contacts.
-OTHERS = {"Component", "Effect", "Encoding", "Estimate", "Published"}
+OTHERS = {"Component", "Effect", "Encoding", "Estimate", "Published", "TrialBefore"}
 
 
 def public_classes() -> dict[str, type]:

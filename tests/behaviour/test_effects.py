@@ -22,6 +22,7 @@ from weberwhisk.behaviour import (
     task_named,
 )
 from weberwhisk.behaviour.effects import (
+    EFFECTS,
     Contraction,
     Drift,
     Effect,
@@ -32,6 +33,8 @@ from weberwhisk.behaviour.effects import (
     Overdispersion,
     SessionBias,
     StandardSecond,
+    TrialBefore,
+    WinStay,
 )
 from weberwhisk.behaviour.encodings import NOISES, Encoding, Signals
 from weberwhisk.behaviour.likelihood import WeberModel, build_model
@@ -82,6 +85,8 @@ def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = 
             sd1, sd2 = sd1 * np.exp(value * second), sd2 * np.exp(value * second)
         case "history":
             push = value * before
+        case "win_stay":
+            push = value * np.abs(before) * np.r_[0.0, np.sign(s2 - s1)[:-1]]
         case "drift":
             factor = np.exp(value * ((session - 1) / (SESSIONS - 1) - 0.5))
             sd1, sd2 = sd1 * factor, sd2 * factor
@@ -93,7 +98,7 @@ def answered(name: str, value: float, seed: int, trials: int = 900) -> Trials:
     """Choices of an observer with one effect, made by hand."""
     f = design(seed, trials)
     u = np.random.default_rng(seed + 1).random(len(f))
-    if name != "history":
+    if name not in ("history", "win_stay"):
         choice = (u < by_hand(name, value, f, np.zeros(len(f)))).astype(int)
         return read_trials(f.drop(columns="comparison").assign(choice=choice))
     given = [by_hand(name, value, f, np.full(len(f), b)) for b in (-1.0, 0.0, 1.0)]
@@ -113,8 +118,13 @@ CASES: dict[str, tuple[Effect, float]] = {
     "contraction": (Contraction(), 0.2),
     "standard_second": (StandardSecond(), 0.6),
     "history": (History(), 0.6),
+    "win_stay": (WinStay(), 0.6),
     "drift": (Drift(), -1.0),
 }
+
+
+def test_every_effect_is_written_by_hand() -> None:
+    assert CASES.keys() | {"overdispersion", "session_bias"} == EFFECTS.keys()
 
 
 def model_of(trials: Trials, effect: Effect) -> WeberModel:
@@ -439,6 +449,46 @@ def test_a_trial_that_is_not_in_the_table_leaves_no_history() -> None:
     after = some.frame["trial"].diff() == 1
     assert column[after].tolist() == own[after].tolist()
     assert not column[~after].any()
+
+
+@dataclass(frozen=True, eq=False)
+class RewardBias(TrialBefore):
+    """A bias that is another after a rewarded trial."""
+
+    prior: Any = stats.norm(0.0, 0.5)  # noqa: RUF009
+    name: str = "reward_bias"
+
+    def shift(self, answer: Array, right: Array) -> Array:
+        return (answer * right > 0).astype(float)
+
+
+@pytest.mark.parametrize("effect", [History(), WinStay(), RewardBias()], ids=lambda e: e.name)
+def test_what_goes_by_the_trial_before_is_simulated_as_it_is_fitted(effect: Effect) -> None:
+    trials = simulate_trials(
+        weber_fraction=K, standards=[1.0, 2.0], sessions=4, trials_per_level=300, missing=0.05,
+        effects=[(effect, 0.7)], seed=5,
+    )  # fmt: skip
+    known: dict[str, Any] = {"weber_fraction": K, "lapse_low": 0.0, "lapse_high": 0.0}
+    low, high = fit_weber(trials, effects=[effect], priors=known).interval(0.99, effect.name)
+    assert 0 < low < 0.7 < high
+    before = 2 * trials.frame["count"].shift(1) - 1
+    right = np.sign(trials.frame["stimulus_2"] - trials.frame["stimulus_1"]).shift(1)
+    by_hand = {"history": before, "win_stay": right * before**2, "reward_bias": before * right > 0}
+    same = trials.frame["session"] == trials.frame["session"].shift(1)
+    expected = np.where(same, by_hand[effect.name].astype(float).fillna(0.0), 0.0)
+    np.testing.assert_array_equal(effect.column(trials, IdentityEncoding()), expected)
+
+
+def test_a_fit_with_effects_of_which_all_is_given_is_its_likelihood() -> None:
+    trials = simulate_trials(trials_per_level=20, effects=[(History(), 0.4)], seed=1)
+    given = {"weber_fraction": 0.1, "lapse_low": 0.02, "lapse_high": 0.02, "bias": 0.1}
+    plain = fit_weber(trials, priors=given)
+    fit = fit_weber(trials, effects=[History()], priors=given | {"history": 0.0})
+    assert fit.status is FitStatus.GIVEN
+    assert fit.log_evidence == pytest.approx(plain.log_evidence, abs=1e-9)
+    assert fit.posterior.mode() == {}
+    with pytest.raises(ValueError, match="every parameter is fixed"):
+        fit_weber(trials, effects=[History()], priors=given | {"history": 0.0}, method="emcee")
 
 
 TREND = stats.norm(0.0, 0.5)

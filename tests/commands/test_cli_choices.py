@@ -96,7 +96,16 @@ def test_simulate_draws_the_curve_of_every_effect(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     """At the true values, where the fit has nothing to fit."""
-    design = ["--sessions", "2", "--trials-per-level", "5", "--out", str(tmp_path)]
+    design = [
+        "--order",
+        "random",
+        "--sessions",
+        "2",
+        "--trials-per-level",
+        "5",
+        "--out",
+        str(tmp_path),
+    ]
     assert run_app(cli.app, ["simulate", *design, "--effect", f"{name}:0.1"]) == 0
     assert "trials.png" in capsys.readouterr().out
     assert json.loads((tmp_path / "truth.json").read_text("utf-8"))["effects"] == {name: 0.1}

@@ -23,8 +23,8 @@ from .trials import STIMULI, Trials, needs_order, needs_rows, needs_standards, s
 
 __all__ = [
     "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Exponent", "Floor", "History",
-    "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "WinStay", "check_effects",
-    "check_valued", "effect_named", "effect_valued",
+    "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "TrialBefore", "WinStay",
+    "check_effects", "check_valued", "effect_named", "effect_valued",
 ]  # fmt: skip
 
 
@@ -54,8 +54,8 @@ class Effect:
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         """What the effect depends on, a number a row; None where that is the stimuli alone.
 
-        Curves and thresholds are those at 0. `simulate_trials` calls it before there are answers,
-        and knows the answer before for `History` alone.
+        Curves and thresholds are those at 0. `simulate_trials` calls it before there are answers;
+        an effect that follows the answer before derives from `TrialBefore`.
         """
         return None
 
@@ -326,17 +326,41 @@ class Contraction(Effect, Fields):
         return signals._replace(mean_1=signals.mean_1 + value * (self.centre - signals.mean_1))
 
 
-class _TrialBefore(Effect):
-    """A shift, in sds of the difference, by what the trial before was."""
+class TrialBefore(Effect):
+    """A shift, in sds of the difference, by what the trial before was.
+
+    `shift` says by how much; the first trial of a session, and one after a trial that is not in the
+    table, has none.
+
+    Examples
+    --------
+    >>> class RewardBias(TrialBefore):  # a bias that is another after a rewarded trial
+    ...     name, prior = "reward_bias", 0.3
+    ...
+    ...     def shift(self, answer, right):
+    ...         return (answer * right > 0).astype(float)
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(trials_per_level=1, effects=[(RewardBias(), 0.3)], seed=1)
+    """
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, type(self).__name__)
         needs_rows(trials, type(self).__name__)
-        before = np.r_[0.0, np.nan_to_num(self.side(trials.frame))[:-1]]
+        return self.after(trials, 2 * trials.frame["count"].to_numpy(float) - 1)
+
+    def after(self, trials: Trials, answer: Array | float) -> Array:
+        """The column, were these the answers: 1 the second, -1 the first, 0 or NaN none."""
+        s1, s2 = (trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2"))
+        given = np.nan_to_num(np.broadcast_to(answer, s1.shape))
+        before = np.r_[0.0, self.shift(given, np.sign(s2 - s1))[:-1]]
         return np.where(trials.follows, before, 0.0)
 
-    def side(self, frame: pd.DataFrame) -> Array:
-        """The side, 1 for the second, to which each trial moves the next; NaN is none."""
+    def shift(self, answer: Array, right: Array) -> Array:
+        """How far each trial moves the next, positive towards the second.
+
+        `answer` is 1 for the second, -1 for the first, 0 for none; `right` is the right one, 0 of
+        two equal stimuli.
+        """
         raise NotImplementedError
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
@@ -344,7 +368,7 @@ class _TrialBefore(Effect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class History(_TrialBefore, Fields):
+class History(TrialBefore, Fields):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
@@ -354,12 +378,12 @@ class History(_TrialBefore, Fields):
     prior: rv_frozen | float = _PRIORS["shift"]
     name: str = "history"
 
-    def side(self, frame: pd.DataFrame) -> Array:
-        return 2 * frame["count"].to_numpy(float) - 1
+    def shift(self, answer: Array, right: Array) -> Array:
+        return answer
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WinStay(_TrialBefore, Fields):
+class WinStay(TrialBefore, Fields):
     """A shift towards the stimulus that was right on the trial before; sds of the difference.
 
     Win-stay, lose-shift: a right answer is repeated and a wrong one changed, so that the next
@@ -370,9 +394,8 @@ class WinStay(_TrialBefore, Fields):
     prior: rv_frozen | float = _PRIORS["shift"]
     name: str = "win_stay"
 
-    def side(self, frame: pd.DataFrame) -> Array:
-        s1, s2, count = (frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
-        return np.where(np.isnan(count), np.nan, np.sign(s2 - s1))
+    def shift(self, answer: Array, right: Array) -> Array:
+        return np.where(answer == 0, 0.0, right)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

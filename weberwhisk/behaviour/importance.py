@@ -155,8 +155,8 @@ class ImportancePosterior(Fields):
         rng = np.random.default_rng(0)
         density = self.target.log_density
         near = self.weighted.resampled(1000, rng)
-        spread = np.cov(near.T) if near.size else np.zeros((0, 0))
-        root = np.linalg.cholesky(spread + 1e-8 * np.eye(near.shape[1]))
+        covariance = np.cov(near.T) if near.size else np.zeros((0, 0))
+        root = np.linalg.cholesky(covariance + 1e-8 * np.eye(near.shape[1]))
         best = near.mean(axis=0)
         for scale in 0.7 ** np.arange(16):
             near = best + scale * rng.standard_normal((200, best.size)) @ root.T

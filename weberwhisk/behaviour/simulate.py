@@ -15,7 +15,7 @@ from scipy.stats import beta
 from .._util import checks
 from .._util.refusals import Refusal, argument, named
 from .._util.values import Array
-from .effects import Effect, History, Overdispersion, SessionBias, check_valued
+from .effects import Effect, Overdispersion, SessionBias, TrialBefore, check_valued
 from .encodings import (
     Encoding,
     IdentityEncoding,
@@ -295,8 +295,9 @@ def responses(
         """Of the answer counted, after the other answer (-1), none (0), or itself (1)."""
         encoded = scaled.encoded(1.0)
         for (effect, value), column in zip(bound, columns, strict=True):
-            goes_with = before if isinstance(effect, History) else column
-            of_trial = 0.0 if goes_with is None else goes_with
+            if isinstance(effect, TrialBefore):
+                column = effect.after(trials, before)
+            of_trial = 0.0 if column is None else column
             encoded = effect.apply(encoded, np.array([value]), of_trial)
         d, weight = task.decide(encoded)
         up, down = task.chance(d, weight * bias)
@@ -317,7 +318,7 @@ def responses(
         if isinstance(effect, SessionBias) and column is not None:
             of_sessions = ndtri(rng.random(int(column.max(initial=0)) + 1))
             bias = bias + value * of_sessions[column.astype(np.intp)]
-    if not any(isinstance(effect, History) for effect, _ in bound):
+    if not any(isinstance(effect, TrialBefore) for effect, _ in bound):
         return (uniform < probability(0.0)).astype(float)
     after = (uniform < np.stack([probability(b) for b in (0.0, 1.0, -1.0)])).astype(int)
     session = frame["session"].to_numpy()
