@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,8 +12,6 @@ from choice_tables import NINE, counted, expected_counts
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
-from scipy.special import logsumexp
-from short_forms import slow_but
 
 from weberwhisk.behaviour import (
     FitStatus,
@@ -24,7 +21,6 @@ from weberwhisk.behaviour import (
     fit_weber,
     read_trials,
     simulate_trials,
-    weber_law_test,
 )
 from weberwhisk.behaviour.encodings import LogEncoding
 from weberwhisk.behaviour.posteriors import prior_draws
@@ -403,64 +399,3 @@ def test_draws_from_the_priors_are_what_the_priors_say(fit: WeberFit) -> None:
     equal = np.flatnonzero((cells.stimulus_1 == cells.stimulus_2) & (cells.n == 40))[0]
     ends = np.quantile(found[:, equal], ENDS)
     np.testing.assert_allclose(ends, np.quantile(share, ENDS), atol=0.051)  # two counts of 40
-
-
-# -- Weber's law ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bias", slow_but(["none", "shared", "per standard"], quick=(0, 2)))
-def test_weber_law_holds_where_it_does_and_fails_where_it_does_not(bias: str) -> None:
-    same = [simulate_trials(weber_fraction=0.1, standards=s, trials_per_level=60, seed=20 + i)
-            for i, s in enumerate((1.0, 2.0))]  # fmt: skip
-    other = simulate_trials(weber_fraction=0.3, standards=2.0, trials_per_level=60, seed=22)
-
-    def joined(*parts: Trials) -> Trials:
-        return replace(parts[0], frame=pd.concat([p.frame for p in parts], ignore_index=True))
-
-    holds = weber_law_test(fit_weber(joined(*same), bias=bias))
-    fails = weber_law_test(fit_weber(joined(same[0], other), bias=bias))
-    assert holds.log_bayes_factor > 0
-    assert fails.log_bayes_factor < -5
-    assert "against Weber's law" in fails.report()
-    assert fails.by_standard["weber_fraction"].tolist() == pytest.approx([0.1, 0.3], rel=0.3)
-
-
-@pytest.mark.parametrize("bias", ["shared", "per standard"])
-def test_weber_law_evidence_with_lapses_and_bias_by_brute_force(bias: str) -> None:
-    """Lapses, and a shared bias, are common to the standards, whose trials are not equally many."""
-    parts = [
-        simulate_trials(standards=s, trials_per_level=n, offsets=[-0.3, -0.1, 0.1, 0.3], seed=s)
-        for s, n in ((1, 60), (2, 15))
-    ]
-    trials = replace(parts[0], frame=pd.concat([p.frame for p in parts], ignore_index=True))
-    c = trials.cells()
-    drive = (c.stimulus_2 - c.stimulus_1) / np.hypot(c.stimulus_1, c.stimulus_2)
-    ln_k, z, b = np.linspace(-4.6, 0.0, 47), np.linspace(-5, 4, 28), np.linspace(-1.6, 1.6, 33)
-    lapse = stats.beta(0.7, 20).ppf(stats.norm.cdf(z))
-    low, high = lapse[:, None, None, None, None], lapse[:, None, None, None]
-    up = stats.norm.cdf(drive / np.exp(ln_k)[:, None, None] + b[:, None])
-    down = stats.norm.cdf(-drive / np.exp(ln_k)[:, None, None] - b[:, None])
-    each = c.count * np.log(np.maximum(low * down + (1 - high) * up, 1e-300))
-    each += (c.n - c.count) * np.log(np.maximum((1 - low) * down + high * up, 1e-300))
-    ll = [each[..., c.standard == s].sum(axis=-1) for s in (1, 2)]  # (Lo, Hi, K, B)
-    prior_k = stats.norm.logpdf(ln_k, np.log(0.1), np.log(3)) + np.log(ln_k[1] - ln_k[0])
-    prior_b = stats.norm.logpdf(b) + np.log(b[1] - b[0])
-    pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
-    prior_lapses = pair.logpdf(np.stack(np.meshgrid(z, z, indexing="ij"), -1))
-    prior_lapses[np.add.outer(lapse, lapse) >= 1] = -np.inf
-    if bias == "shared":
-        one = logsumexp(ll[0] + ll[1] + prior_k[:, None] + prior_b, axis=(2, 3))
-        apart = [logsumexp(a + prior_k[:, None], axis=2) for a in ll]
-        each_own = logsumexp(apart[0] + apart[1] + prior_b, axis=2)
-    else:
-        given = [logsumexp(a + prior_b, axis=3) for a in ll]
-        one = logsumexp(given[0] + given[1] + prior_k, axis=2)
-        each_own = sum(logsumexp(a + prior_k, axis=2) for a in given)
-    exact = logsumexp(one + prior_lapses) - logsumexp(each_own + prior_lapses)
-    test = weber_law_test(fit_weber(trials, bias=bias))
-    assert test.log_bayes_factor == pytest.approx(exact, abs=0.02)
-
-
-def test_weber_law_needs_two_standards() -> None:
-    with pytest.raises(ValueError, match="two standards or more"):
-        weber_law_test(fit_weber(simulate_trials(seed=24)))

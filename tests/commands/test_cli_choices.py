@@ -154,7 +154,8 @@ def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     found = answer(capsys, "fit", file, "--lapse-prior", "1,20", "--law", "--out", str(out))
     assert found["parameters"]["lapse_low"]["prior"] == "beta(1, 20)"  # type: ignore[index]
     assert found["weber_fraction"] != plain["weber_fraction"]
-    assert len(pd.read_csv(out / "law.csv")) == 2
+    assert pd.read_csv(out / "law.csv")["rival"].tolist() == ["exponent", "floor"]
+    assert len(pd.read_csv(out / "by_standard.csv")) == 2
     assert found["law"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
     levels = answer(capsys, "fit", file, "--prior", "levels", "--lapse-prior", "1,20")
     believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]

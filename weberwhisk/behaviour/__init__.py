@@ -4,7 +4,7 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 `fit_weber` makes a `WeberFit` of them.
 """
 
-from .comparison import Comparison, WeberLawTest, compare, weber_law_test
+from .comparison import Comparison, compare
 from .criticism import quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
@@ -20,6 +20,7 @@ from .states import States
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
 from .verdict import FitStatus
+from .weber_law import WeberLawTest, weber_law_test
 
 __all__ = [
     "TASKS", "Comparison", "CueEncoding", "Encoding", "FitStatus", "IdentityEncoding",

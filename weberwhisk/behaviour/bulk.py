@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.stats import lognorm
 
 from .._util.values import Array
-from .axes import lapse_weights, least_sd, score_prior
+from .axes import lapse_weights, least_sd
 from .likelihood import WeberModel
 from .nodes import IMPOSSIBLE, ChoiceNodes
-from .windows import Span, Steps
+from .windows import Steps
 from .zoom import zoomed
 
-__all__ = ["log_sum", "marginal", "of_fraction", "over_fractions"]
+__all__ = ["log_sum", "marginal", "of_fraction"]
 
 
 def marginal(
@@ -86,41 +86,3 @@ def log_sum(values: NDArray[np.floating], axis: int) -> Array:
     """ln Σ exp of finite values; SciPy's costs several times as much."""
     top = values.max(axis=axis, keepdims=True)
     return np.asarray(np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis))
-
-
-def over_fractions(
-    model: WeberModel, lapses: tuple[Array, Array], bias: Array | None, cut: float = 25.0
-) -> Array:
-    """Log-likelihood of the answers with the Weber fraction integrated, (B, Lo, Hi).
-
-    At rising coordinates (Lo,) and (Hi,) of the lapses, and even scores (B,) of the one bias;
-    without these biases are integrated, and B is 1. No k is looked for so many nats under the best.
-    """
-    counts, least = model.cells.count[None], least_sd(model)
-    steps = Steps(1.3 * least, 1.0, 1.0, 1.3)
-    windows = zoomed(model, counts, Steps(2.5 * least, 1.0, 1.0, 2.5), cut, slack=4.0)
-    low, high = (
-        _widened(span, axis)
-        for span, axis in zip((windows.low, windows.high), lapses, strict=True)
-    )  # fmt: skip
-    windows = replace(windows, low=low, high=high)
-    if bias is not None:
-        windows = replace(windows, biases=(_widened(windows.biases[0], bias),))
-    step = None if bias is None else float(bias[1] - bias[0])
-    at = ChoiceNodes(
-        model, windows, steps, counts, dtype=np.float64, lapses=lapses, bias_step=step
-    )  # fmt: skip
-    prior = score_prior(at.k) + np.log(at.k[1] - at.k[0])
-    total = np.full((1 if bias is None else bias.size, lapses[0].size, lapses[1].size), -np.inf)
-    for block in at.blocks(highest=bias is not None):
-        values = block.log_like[:, None] if bias is None else block.groups[0].values
-        values = values[..., 0] + prior[block.at, None, None, None]
-        if bias is not None:
-            values = values - score_prior(bias)[:, None, None]
-        total = np.logaddexp(total, np.logaddexp.reduce(values, axis=0))
-    return total
-
-
-def _widened(span: Span, axis: Array) -> Span:
-    """Windows over all of an axis."""
-    return Span(np.where(span.kept, axis[0], np.inf), np.where(span.kept, axis[-1], -np.inf))

@@ -72,10 +72,6 @@ class ChoiceNodes:
         Need not be whole.
     power : float
         To which the likelihood is taken.
-    lapses : tuple of ndarray, optional
-        Rising coordinates of both; by default even ones over the windows.
-    bias_step : float, optional
-        Of the scores of biases, in place of that of `steps`.
     """
 
     def __init__(
@@ -87,17 +83,13 @@ class ChoiceNodes:
         *,
         power: float = 1.0,
         dtype: DTypeLike | None = None,
-        lapses: tuple[Array, Array] | None = None,
-        bias_step: float | None = None,
     ) -> None:
         # Single precision as long as sums over all answers are good to a hundredth.
         many = float(model.cells.n.sum()) * power > 1e5
         self.model, self.power = model, power
         self.dtype = np.dtype(dtype or (np.float64 if many else np.float32))
         self.k = even_nodes(windows.fraction, steps.k)
-        self.lapses = lapses or (
-            even_nodes(windows.low, steps.low), even_nodes(windows.high, steps.high)
-        )  # fmt: skip
+        self.lapses = even_nodes(windows.low, steps.low), even_nodes(windows.high, steps.high)
         self.windows = windows.at(self.k)
         self.d, self.weight = signals(model, self.k)
         values = [model.at(n, a) for n, a in zip(model.lead[-2:], self.lapses, strict=True)]
@@ -107,8 +99,6 @@ class ChoiceNodes:
         self.low, self.high = (np.broadcast_to(a / lost, shape) for a in (low, high))
         self.cells = [np.flatnonzero(model.group == g) for g in range(model.n_groups)]
         self.bias_steps = self._bias_steps(steps.bias)
-        if bias_step is not None:
-            self.bias_steps = np.full_like(self.bias_steps, bias_step)
         self.alone = len(counts) == 1
         self.given: list[tuple[_Given, _Given]] = []
         self.answers: list[Values] = []

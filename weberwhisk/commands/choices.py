@@ -211,7 +211,9 @@ def fit(
         "for the animal; not to compare designs, nor for data collected in stages.  [default: a "
         "median of 0.1, whatever the levels]",
     ] = None,
-    law: Annotated[bool, "Compare one Weber fraction with one a standard: Weber's law."] = False,
+    law: Annotated[
+        bool, "Test Weber's law against noise as a power of the stimulus, and against a floor."
+    ] = False,
     together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
     method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
     shape: opt.Shape = opt.NO_SHAPE,
@@ -274,8 +276,9 @@ def fit(
         report = opt.as_options(result.report())
         if law:
             test = ww.behaviour.weber_law_test(result)
-            run.table("law", test.by_standard)
-            answer["law"] = {"rows": test.by_standard.to_dict("records"), "verdict": test.report()}
+            run.table("law", test.rivals.reset_index())
+            run.table("by_standard", test.by_standard)
+            answer["law"] = test.to_dict()
             report += f"\nWeber's law.\n{test.report()}\n"
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
