@@ -294,14 +294,26 @@ def test_no_signal_is_no_contact_whatever_is_unknown(cue, reading):
     assert ww.posterior(ww.Observer(W, cue), reading).status == Status.NO_CONTACT
 
 
-def wide(name):
-    """A cylinder's fusion and the balance of moments, k = 0.3: ends were 0.06 and 0.24 sd off."""
-    if name == "fusion":
-        cue = Fused(ForceMap(), Vibration(3))
-        noise = cue.joint(Weber(0.3), Vibration(3).noise(0.3, 0.05))
-        return ww.Observer(WHISKERS["cylinder"], cue, noise)
+def test_evidence_and_the_ends_of_a_wide_interval_are_those_of_a_table():
+    """The balance of moments at k = 0.3: ends were 0.24 sd off."""
     noise = GeneralisedWeber([0.0, 0.3], floor=[0.017, 0.0])
-    return ww.Observer(W, BalanceOfMoments(effort=None), noise)
+    observer = ww.Observer(W, BalanceOfMoments(effort=None), noise)
+    reading = observer.read(prior_draws(observer, 1, seed=8), seed=9)
+    p = ww.posterior(observer, reading)
+    probability = np.array([0.025, 0.975])
+    weight, contact = table(observer, reading[0], 600)
+    r = contact[..., 0].max(axis=1)  # one distance a row
+    mass = weight.sum(axis=1) / weight.sum()
+    exact = np.interp(probability, np.cumsum(mass) - mass / 2, r)
+    assert np.all(np.abs(p.quantile(probability)[0] - exact) < 0.01 * p.sd[0])
+    # The same contacts once more, with the size of their cells.
+    x = observer.space.unconstrain(contact[weight > 1e-9])
+    _, first, count = np.unique(x[:, 0].round(9), return_index=True, return_counts=True)
+    longest = slice(start := first[count.argmax()], start + count.max())
+    cell = np.diff(np.unique(x[:, 0].round(9))).min() * np.median(np.diff(x[longest, 1]))
+    best = observer.space.unconstrain(contact.reshape(-1, 2)[weight.argmax()])
+    top = observer.log_density(best, reading[0])
+    assert p.log_evidence[0] == pytest.approx(np.log(weight.sum() * cell) + float(top), abs=5e-3)
 
 
 @pytest.mark.parametrize(

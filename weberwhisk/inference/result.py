@@ -59,7 +59,11 @@ class Estimate(NamedTuple):
 
 
 class Solution(Protocol):
-    """What a method gives for B readings and keeps of their posteriors."""
+    """What a method gives for B readings and keeps of their posteriors.
+
+    Implemented by `quadrature.QuadratureSolution`, by the two of `approximate.py`, and by
+    `AtReadings` for the rows that are readings.
+    """
 
     @property
     def estimates(self) -> list[Estimate]:

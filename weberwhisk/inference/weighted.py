@@ -26,8 +26,9 @@ __all__ = [
     "extrapolated", "in_one", "interpolate", "masses", "mixed", "spans_between",
 ]  # fmt: skip
 
-#: Points between cells at which densities are interpolated: along the distance, and along the
-#: second unknown at each distance. Quantiles of a Gaussian are so off by less than 1e-4 sd.
+#: Points between cells at which densities are interpolated: along the distance (for spans; half as
+#: many for quantiles), and along the second unknown at each distance. Quantiles of a Gaussian are
+#: so off by less than 1e-4 sd.
 PARTS = 16, 4
 #: Nats below the highest density beyond which cells do not count in quantiles of the second
 #: unknown.
@@ -47,6 +48,8 @@ GRID = np.array([-8.0, -5.0, -3.5, -2.5, -2.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.0, 2
 
 class WeightedPosteriors(Protocol):
     """Posteriors of B readings of U unknowns as weighted cells; NaN where there is none.
+
+    Implemented by `CellSums` and `layers.LayeredSums`.
 
     Attributes
     ----------
@@ -436,7 +439,7 @@ class Columns:
         power = np.ceil(np.log2(np.maximum(most / 1.4, 1.0))).astype(np.intp)
         return np.asarray(2**power)
 
-    def half_error(self, value: Array) -> Array:
+    def off_by_half_columns(self, value: Array) -> Array:
         """By how much probabilities (n, Q) below values (n, Q) differ from those of half columns.
 
         Every other column is one half, the rest the other.
@@ -507,7 +510,8 @@ class Columns:
             side[rows] = np.where(over, 1.0, -1.0)
         near = 0.05 * sd[:, None]
         rise = ndtr(self.score(out + near, everyone)) - ndtr(self.score(out - near, everyone))
-        off = 0.1 * self.half_error(out) / np.maximum(rise, 1e-300)
+        # Probabilities over the density are distances: `rise` is the density times 2 * 0.05 sd.
+        off = 0.1 * self.off_by_half_columns(out) / np.maximum(rise, 1e-300)
         return out, off.max(axis=1)
 
 
