@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from short_forms import slow_but
@@ -56,10 +58,30 @@ def test_nothing_inside_is_flagged(fields):
     assert ww.bend(w, 0.5 * w.length, 0.0).outside_domain == ""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class _SquareRoot(receptors.Gaussian):
+    """A law without a Weber fraction: however sharp, its posteriors were never flagged."""
+
+    size: float = 0.1
+    correlation: float = 0.0
+
+    def sd(self, signals):
+        return self.size * np.sqrt(np.abs(signals))
+
+
 def test_receptors_of_per_cent_are_flagged():
     w = ww.Whisker(*GOOD)
     observer = ww.Observer(w, ww.cues.Compliance(), ww.receptors.Weber(10.0))
     assert "did you pass per cent" in domain.sentence(domain.of_observer(observer))
+    assert domain.of_observer(ww.Observer(w, cues.Compliance(), _SquareRoot(1e-4))) == ()
+    sharp = ww.Observer(w, cues.Compliance(), _SquareRoot(1e-7))
+    assert "a Weber fraction of" in domain.sentence(domain.of_observer(sharp))
+    p = posterior(sharp, sharp.read(20e-3, seed=1))
+    assert p.status == Status.OUTSIDE_DOMAIN
+    both = receptors.Joint([receptors.Weber(0.1), _SquareRoot(1e-12)], [1, 1])
+    fractions = ww.Observer(w, cues.ForceMap(), both).usual_weber_fractions
+    assert fractions[0] == 0.1
+    assert 0 < fractions[1] < 1e-3
     angles = ww.Observer(w, ww.cues.SpaceMap())  # part of its noise has no Weber fraction
     assert domain.of_observer(angles) == ()
 

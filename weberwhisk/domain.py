@@ -98,8 +98,7 @@ def of_weber_fractions(
 
 def of_observer(observer: Any) -> tuple[str, ...]:
     """What of an observer's whisker and receptors lies outside, a sentence each."""
-    k = observer.noise.weber_fractions(len(observer.cue.signal_names))
-    return of_whisker(observer.whisker) + of_weber_fractions(k)
+    return of_whisker(observer.whisker) + of_weber_fractions(observer.usual_weber_fractions)
 
 
 def sentence(outside: Iterable[str]) -> str:

@@ -1,6 +1,6 @@
 """The floor of the noise of signals that change sign: where it stands, and where it does not."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -107,6 +107,38 @@ def test_noise_without_a_floor_is_refused_with_the_line_to_write(whisker, cue, n
     assert np.array_equal(typed.floors(size), np.maximum(noise.floors(size), default))
     assert getattr(typed, "correlation", 0) == getattr(noise, "correlation", 0)
     assert type(typed) is type(noise) or isinstance(typed, GeneralisedWeber)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Root(receptors.Gaussian):
+    """A law of another formula, without a Weber fraction or a floor."""
+
+    size: float = 0.1
+    correlation: float = 0.0
+
+    def sd(self, signals):
+        return self.size * np.sqrt(np.abs(signals))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RootAndFloor(Root):
+    floor: float = 0.0
+
+    def sd(self, signals):
+        return np.hypot(self.floor, super().sd(signals))
+
+
+def test_a_law_of_ones_own_is_kept_by_the_line_to_write():
+    """It was told to be Weber's law with a k of 0.1, which nobody had given."""
+    with pytest.raises(ValueError, match=r"give its law a field `floor`.* of \[0, 7.6e-07\]"):
+        Observer(CONCAVE, ForceMap(), Root(1e-4))
+    with pytest.raises(ValueError, match="changes within this whisker's reach") as error:
+        Observer(CONCAVE, ForceMap(), RootAndFloor(1e-4))
+    line = str(error.value).split("write ")[1].removesuffix(".")
+    typed = eval(line, {"RootAndFloor": RootAndFloor})
+    assert Observer(CONCAVE, ForceMap(), typed).noise == typed
+    assert typed.floor == [0, 7.6e-07]
+    assert (typed.size, typed.correlation) == (1e-4, 0.0)
 
 
 def test_an_observer_made_from_another_has_the_floor_of_its_own_whisker():

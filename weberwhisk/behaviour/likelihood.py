@@ -508,9 +508,9 @@ def build_model(
         both = over_places(task, encoded, cells, both, noise)
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
         raise Refusal(
-            "no noise of these signals goes with a Weber fraction, so there is none to fit: "
-            "that of angles is a constant",
-            remedy="give receptors whose noise grows, ww.receptors.Weber(0.1), say",
+            "no noise of these signals goes with a Weber fraction, so there is none to fit",
+            getattr(getattr(encoded, "observer", None), "noise", None),
+            "give receptors with a weber_fraction, ww.receptors.Weber(0.1), say",
         )
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
     by_name = {effect.name: effect.prior for effect in bound} | dict(further or {})

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import receptors
 from .._util.checks import positive
 from .._util.refusals import Refusal, named
 from .._util.values import Array
@@ -18,7 +20,7 @@ from ..receptors import GeneralisedWeber, Joint, ReceptorNoise
 from ..whisker import Whisker
 from .coordinates import ContactCoordinates
 
-__all__ = ["check_noise", "default_noise", "with_floors"]
+__all__ = ["check_noise", "default_noise", "usual_contacts"]
 
 #: Signals of one sign at every contact; `axial_force` too without curvature and friction.
 ONE_SIGN = ("moment", "moment_rate", "angular_velocity", "effort")
@@ -67,7 +69,14 @@ def default_noise(
             )
         k = positive("weber_fraction", weber_fraction, "write 0.1, say")
         noise = noise.with_weber_fraction(k)
-    return with_floors(noise, whisker, cue)
+    floored = with_floors(noise, lacking_floors(noise, whisker, cue))
+    assert floored is not None  # a cue's own noise has a Weber fraction or a floor
+    return floored
+
+
+def usual_contacts(space: ContactCoordinates, others: int = 5) -> Array:
+    """Coordinates (N, U) from one end of the reach to the other, and so many of each nuisance."""
+    return space.spread(np.r_[1e-3, np.arange(0.1, 0.95, 0.1), 1 - 1e-3], others=others)
 
 
 @lru_cache(maxsize=256)
@@ -75,8 +84,7 @@ def _floors(whisker: Whisker, cue: Cue) -> Array:
     """Floor of each signal that changes sign in the reach, or vanishes, (S,), 0 of the others."""
     floors = np.zeros(len(cue.signal_names))
     space = ContactCoordinates(whisker, cue, cue.priors(whisker))
-    fractions = np.r_[1e-3, np.arange(0.1, 0.95, 0.1), 1 - 1e-3]
-    usual, tails = space.spread(fractions, others=5), space.spread(fractions, others=3)
+    usual, tails = usual_contacts(space), usual_contacts(space, others=3)
     tails[:, space.bounded :] *= 2.4  # as far out as posteriors go over nuisance parameters
     with np.errstate(all="ignore"):
         signals, outcome = cue.signals(whisker, space.constrain(np.concatenate([usual, tails]))[0])
@@ -94,35 +102,43 @@ def _floors(whisker: Whisker, cue: Cue) -> Array:
     return floors
 
 
-def with_floors(noise: ReceptorNoise, whisker: Whisker, cue: Cue) -> ReceptorNoise:
-    """Noise with a floor where it vanishes with a signal that changes sign, else itself."""
+def lacking_floors(noise: ReceptorNoise, whisker: Whisker, cue: Cue) -> Array:
+    """The floor of each signal (S,) that changes sign where this noise vanishes; else 0."""
     plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
     one_sign = (*ONE_SIGN, "axial_force") if plain else ONE_SIGN
     lacks = np.array([name.rstrip("_0123456789") not in one_sign for name in cue.signal_names])
-    components = noise.components(len(lacks))
-    for own, signals, _ in components:
+    for own, signals, _ in noise.components(len(lacks)):
         if own.is_categorical or not own.reads_signals:
             lacks[signals] = False
         elif lacks[signals].any():
             lacks[signals] &= own.sd(np.zeros(lacks[signals].size)) == 0
     if not lacks.any():  # before signals are worked out
-        return noise
-    floors = np.where(lacks, _floors(whisker, cue), 0.0)
-    if not floors.any():
-        return noise
-    parts = [_floored(own, floors[signals]) for own, signals, _ in components]
-    sizes = [signals.stop - signals.start for _, signals, _ in components]
-    return Joint(parts, sizes) if len(parts) > 1 else parts[0]
+        return np.zeros(len(lacks))
+    return np.where(lacks, _floors(whisker, cue), 0.0)
 
 
-def _floored(noise: ReceptorNoise, floors: Array) -> ReceptorNoise:
-    """Weber's law with further floors, of Weber fraction and correlation of the noise."""
+def with_floors(noise: ReceptorNoise, floors: Array) -> ReceptorNoise | None:
+    """Noise with further floors (S,); None where a law has neither a floor nor Weber's place."""
+    laws, sizes = [], []
+    for component in noise.components(len(floors)):
+        law = _floored(component.noise, floors[component.signals])
+        if law is None:
+            return None
+        laws.append(law)
+        sizes.append(component.signals.stop - component.signals.start)
+    return Joint(laws, sizes) if len(laws) > 1 else laws[0]
+
+
+def _floored(noise: Any, floors: Array) -> ReceptorNoise | None:
+    """The law with further floors if it can have any, else Weber's with its Weber fraction."""
     if not floors.any():
         return noise
-    if isinstance(noise, GeneralisedWeber):
+    if "floor" in (field.name for field in fields(noise)):
         return replace(noise, floor=np.where(floors > 0, floors, noise.floor))
-    k, rho = getattr(noise, "weber_fraction", 0.1), getattr(noise, "correlation", 0.0)
-    return GeneralisedWeber(k, floor=floors, correlation=rho)
+    if not hasattr(noise, "weber_fraction"):
+        return None
+    rho = getattr(noise, "correlation", 0.0)
+    return GeneralisedWeber(noise.weber_fraction, floor=floors, correlation=rho)
 
 
 def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool) -> None:
@@ -154,14 +170,17 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
             f"{noise!r}",
             "leave torsion out, or give its noise a floor",
         )
-    floored = with_floors(noise, whisker, cue)
-    if floored is not noise:
-        added = floored.floors(size) > noise.floors(size)
-        names = " and ".join(np.array(cue.signal_names)[added])
-        line = re.sub(r"\b(?=[A-Z]\w*\()", "ww.receptors.", repr(floored)).replace("inf", "None")
+    floors = lacking_floors(noise, whisker, cue)
+    if floors.any():
+        names = " and ".join(np.array(cue.signal_names)[floors > 0])
+        floored = with_floors(noise, floors)
+        ours = "|".join(receptors.__all__)
+        line = re.sub(rf"\b(?=(?:{ours})\()", "ww.receptors.", repr(floored)).replace("inf", "None")
+        sds = ", ".join(f"{floor:.3g}" for floor in floors)
+        law = f"give its law a field `floor`, the sd at no signal in SI units, of [{sds}]"
         raise Refusal(
             f"The sign or the direction of {names} changes within this whisker's reach, where "
             "this noise would be zero",
             f"{noise!r}",
-            f"write {line}",
+            law if floored is None else f"write {line}",
         )

@@ -19,7 +19,7 @@ from ..mechanics import model_choice
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel
 from ..mechanics.shape import Profile
-from ..receptors import ReceptorNoise, Seed
+from ..receptors import Gaussian, ReceptorNoise, Seed
 from ..whisker import Whisker
 from .coordinates import (
     ContactCoordinates,
@@ -29,7 +29,7 @@ from .coordinates import (
     to_normal,
     within_half_turn,
 )
-from .floors import check_noise, default_noise
+from .floors import check_noise, default_noise, usual_contacts
 
 __all__ = ["Observer"]
 
@@ -196,6 +196,24 @@ class Observer(Fields):
     def reach(self) -> tuple[float, float]:
         """Ends of the radial distance, m."""
         return self.space.reach
+
+    @cached_property
+    def usual_weber_fractions(self) -> Array:
+        """Of each signal, (S,): that of its law, or where it is Gaussian and has none, median
+        sd/|signal| at usual contacts; 0 where nothing is said of it."""
+        size = len(self.cue.signal_names)
+        k = np.array(self.noise.weber_fractions(size))
+        laws = [law for law in self.noise.components(size) if isinstance(law.noise, Gaussian)]
+        by_contact = [law for law in laws if not hasattr(law.noise, "weber_fraction")]
+        if by_contact:
+            contact = self.space.constrain(usual_contacts(self.space, others=3))[0]
+            signals, outcome = self.signals(contact)
+            in_contact = signals[outcome == Outcome.HELD]
+            for law in by_contact if len(in_contact) else ():
+                of_law = in_contact[:, law.signals]
+                with np.errstate(divide="ignore"):
+                    k[law.signals] = np.median(law.noise.sd(of_law) / np.abs(of_law), axis=0)
+        return k
 
     @cached_property
     def why(self) -> str:

@@ -40,9 +40,12 @@ class ReceptorNoise(Value):
                 return self.size * np.sqrt(np.abs(signals))
 
     Any other derives from `ReceptorNoise` and has `mean`, `sd`, `jacobian`, `interval`,
-    `log_likelihood`, `sample` and `fisher`; the rest has defaults. Fields `weber_fraction` and
-    `floor` are read by name, as in sd² = (weber_fraction·f(signals))² + floor²: the parameters
-    of another formula have other names. Models are values: they compare and hash by their fields.
+    `log_likelihood`, `sample` and `fisher`; the rest has defaults. A field called `weber_fraction`
+    is taken for the dimensionless k of sd² = (k·I)² + floor², checked against the domain and varied
+    by fits; `floor` for the sd at no signal, in the signal's unit. Call anything else otherwise
+    (`size`, `coefficient`): of such a law sd/|I| at usual contacts is held against the domain. A
+    law for others to use has an `__init__` that refuses junk in one sentence, by `_util.checks`.
+    Models are values: they compare and hash by their fields.
     """
 
     _always_printed: ClassVar[tuple[str, ...]] = ("weber_fraction",)
