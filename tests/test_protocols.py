@@ -259,7 +259,10 @@ EVERY = [
 @pytest.mark.parametrize("make", dict.fromkeys(EVERY), ids=lambda m: m.__qualname__)
 def test_a_constructor_takes_a_value_or_refuses_it_in_one_sentence(make):
     good, named = GOOD.get(make, ()), NAMED.get(make, {})
-    make(*good, **named)
+    try:
+        make(*good, **named)
+    except TypeError as error:
+        pytest.fail(f"add {make.__qualname__} to GOOD: the arguments it needs at least ({error})")
     parameters = inspect.signature(make).parameters
     only = [n for n, p in parameters.items() if p.kind == p.KEYWORD_ONLY]
     refusals, others = [], []

@@ -62,6 +62,7 @@ def objects() -> list[Any]:
         ww.touches(ww.Observer(whisker, pair), readings),
         receptors.Weber(), receptors.Weber(third), receptors.LogNormal(),
         receptors.GeneralisedWeber(third, floor=third), receptors.Saturating(0.1, ceiling=third),
+        receptors.Events([[third], [1.0]]),
         receptors.Joint([receptors.Weber(third), receptors.Weber()], [1, 1]),
         cues.AngleSideAngle(), cues.BalanceOfMoments(), cues.SpaceMap(), cues.TwoWhiskers(),
         cues.ContactAndDetachment(), cues.Vibration(), cues.VibrissaLength(),

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
 import typer
 
+import weberwhisk as ww
+from weberwhisk.behaviour.effects import EFFECTS
+from weberwhisk.behaviour.tasks import TASKS
 from weberwhisk.cli import app
+from weberwhisk.receptors import ReceptorNoise
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -43,6 +48,44 @@ def test_commands_have_the_options_that_pages_give_them(page: str, line: str) ->
     command.make_context(
         words[0], [a_file if w.endswith((".csv", ".nwb", ".json")) else w for w in words[1:]]
     )
+
+
+def things() -> dict[str, list[str]]:
+    """What the package has of each kind that the maintainers' page says how to add, by name."""
+    laws, cues = (
+        [n for n in room.__all__ if isinstance(of := getattr(room, n), type) and is_dataclass(of)]
+        for room in (ww.receptors, ww.cues)
+    )
+    return {
+        "receptor law": [n for n in laws if issubclass(getattr(ww.receptors, n), ReceptorNoise)],
+        "cue": [n for n in cues if issubclass(getattr(ww.cues, n), ww.cues.Cue)],
+        "effect of choices": list(EFFECTS),
+        "task": [name for name in TASKS if "correct" not in name],  # whose name has a number
+    }
+
+
+#: Cues that are conditions of another one, and on the command line options of every cue.
+OPTIONS = {"commands/__init__.py": {"Friction", "UnknownCurvature", "UnknownHinge", "UnknownRoll"}}
+
+
+@pytest.mark.parametrize("kind", things())
+def test_all_there_is_of_a_kind_stands_where_the_maintainers_page_puts_it(kind: str) -> None:
+    text = (ROOT / "docs/maintainers.md").read_text("utf-8")
+    row = next(line for line in text.splitlines() if line.startswith(f"| {kind} |"))
+    places = re.findall(r"`([\w./]+\.(?:py|md))`", row.split("|")[3])
+    lists = re.findall(r"`([A-Z]{4,})`", row)
+    assert places or lists
+    code = [p for f in ("weberwhisk", "tests") for p in (ROOT / f).rglob("*.py")]
+    every = "\n".join(path.read_text("utf-8") for path in code)
+    for name in lists:
+        assert re.search(rf"^{name}\b.* = ", every, re.M), name
+    for place in places:
+        file = ROOT / place if (ROOT / place).exists() else ROOT / "weberwhisk" / place
+        content = file.read_text("utf-8")
+        if place.endswith("test_light.py"):
+            continue  # compares two other places
+        missing = [n for n in things()[kind] if not re.search(rf"(?<!\w){n}(?!\w)", content, re.I)]
+        assert set(missing) <= OPTIONS.get(place, set()), (place, missing)
 
 
 def test_files_and_functions_that_the_maintainers_page_names_exist() -> None:
