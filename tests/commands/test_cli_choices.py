@@ -143,6 +143,46 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     )
 
 
+def test_fit_takes_some_trials_and_leaves_others_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trials = ww.simulate_trials(sessions=4, trials_per_level=20, seed=1)
+    table = trials.table().assign(
+        block=["practice", "a", "b"] * 60, day=trials.frame["session"] + 0.0
+    )
+    table.loc[:5, "block"] = np.nan  # not of any block
+    file = str(tmp_path / "t.csv")
+    table.to_csv(file, index=False)
+
+    def fitted(*options: str) -> int:
+        return answer(capsys, "fit", file, *options)["data"]["n_trials"]  # type: ignore[index,no-any-return]
+
+    count = table["block"].value_counts()
+    assert fitted("--without", "block=practice") == len(table) - count["practice"]
+    assert fitted("--only", "block=practice, a") == count["practice"] + count["a"]
+    assert (
+        fitted("--without", "block=a", "--without", "block=b")
+        == len(table) - count["a"] - count["b"]
+    )
+    later = table["day"] > 1
+    assert (
+        fitted("--only", "block=a", "--without", "day=1") == ((table["block"] == "a") & later).sum()
+    )
+    assert fitted("--without", "day=1-3") == (table["day"] == 4).sum()
+    for option in ("--only", "--without"):
+        assert "block has 'a', 'b'" in refused(capsys, "fit", file, option, "block=practce")
+        assert "did you mean 'block'?" in refused(capsys, "fit", file, option, "blok=a")
+        assert f"{option} takes a pair such as block=practice" in refused(
+            capsys, "fit", file, option, "practice"
+        )
+    assert "all trials have day = " in refused(capsys, "fit", file, "--without", "day=1-4")
+    read = ww.read_trials(file)
+    rest = read.without(block=["a", "b"])
+    assert rest.table().equals(read.select(block="practice").table()) is False  # those of no block
+    assert len(rest) == count["practice"] + table["block"].isna().sum()
+    assert rest.follows.sum() < 6 + 1
+
+
 def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -214,24 +214,75 @@ class Trials(Line):
         ------
         ValueError
             For an unknown column, or where nothing is left.
+
+        See Also
+        --------
+        without : all trials but some.
         """
-        places: Index | None = None
+        places = np.arange(len(self))
         for column, value in chosen.items():
-            checks.one_of("column", column, map(str, self.frame.columns))
-            values = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
-            gathered = self._gathered(column)
-            of_each = [gathered[v] for v in dict.fromkeys(values) if v in gathered]
-            kept = np.sort(np.concatenate(of_each)) if of_each else np.zeros(0, dtype=np.intp)
-            places = kept if places is None else np.intersect1d(places, kept, assume_unique=True)
-        if places is None:
-            places = np.arange(len(self))
+            of_values = self._places(column, several_values(value))
+            places = np.intersect1d(places, of_values, assume_unique=True)
         if not places.size:
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
-            there = ", ".join(f"{c} has {checks.listed(self._levels(c), 8)}" for c in chosen)
             raise Refusal(
                 f"{self.source}: no trials have {words}",
-                remedy=f"choose values that occur: {there}",
+                remedy=f"choose values that occur: {self._values_in_words(*chosen)}",
             )
+        return self._at(places)
+
+    def without(self, **left_out: Any) -> Trials:
+        """The trials but those whose columns have any of these values.
+
+        Parameters
+        ----------
+        **left_out
+            Column = one value, or several: `without(block="practice", session=[1, 2])` leaves out
+            the trials of that block, and those of these sessions.
+
+        Raises
+        ------
+        ValueError
+            For an unknown column, a value that no trial has, or where nothing is left.
+
+        Examples
+        --------
+        >>> from weberwhisk import simulate_trials
+        >>> trials = simulate_trials(sessions=3, trials_per_level=3, seed=1)
+        >>> trials.without(session=1).sessions
+        [2, 3]
+        """
+        kept = np.ones(len(self), dtype=bool)
+        for column, value in left_out.items():
+            for one in several_values(value):
+                places = self._places(column, [one])
+                if not places.size:
+                    raise Refusal(
+                        f"{self.source}: no trials have {column} = {one!r}",
+                        remedy=f"leave out values that occur: {self._values_in_words(column)}",
+                    )
+                kept[places] = False
+        if not kept.any():
+            words = " or ".join(f"{column} = {value!r}" for column, value in left_out.items())
+            raise Refusal(
+                f"{self.source}: all trials have {words}",
+                remedy="leave out fewer, or give a table with other trials",
+            )
+        return self._at(np.flatnonzero(kept))
+
+    def _values_in_words(self, *columns: str) -> str:
+        levels = {c: [one for one in self._levels(c) if one == one] for c in columns}  # not NaN
+        return ", ".join(f"{c} has {checks.listed(of, 8)}" for c, of in levels.items())
+
+    def _places(self, column: str, values: Iterable[Any]) -> Index:
+        """The rows in which a column has any of these values."""
+        checks.one_of("column", column, map(str, self.frame.columns))
+        gathered = self._gathered(column)
+        of_each = [gathered[v] for v in dict.fromkeys(values) if v in gathered]
+        return np.sort(np.concatenate(of_each)) if of_each else np.zeros(0, dtype=np.intp)
+
+    def _at(self, places: Index) -> Trials:
+        """The trials of these rows."""
         frame = self.frame.iloc[places].reset_index(drop=True)
         rows = (np.arange(1, len(self) + 1) if self.rows is None else self.rows)[places]
         part = replace(self, frame=frame, notes=(), rows=rows)
@@ -375,6 +426,11 @@ def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
         for name in (*STIMULI, "comparison")
         if f"{name}_mm" in table and name not in table
     }
+
+
+def several_values(value: Any) -> Iterable[Any]:
+    """The values given, of which a text is one."""
+    return [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
 
 
 def needs_order(trials: Trials, what: str) -> None:

@@ -14,6 +14,7 @@ printing of results. The package's rooms are imported when they are used, so tha
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -36,9 +37,9 @@ from .._util.values import Array, pd
 
 __all__ = [
     "CUES", "NO_SHAPE", "SCENES", "SPELLED", "Number", "Shape", "Text", "Texts", "a_number",
-    "a_seed", "as_asked", "as_options", "command", "describe", "enough_draws", "finish", "numbers",
-    "one_angle", "option", "pairs", "progress", "show", "the_cue", "the_scene", "the_whisker",
-    "weber_fractions", "whisker_line",
+    "a_seed", "as_asked", "as_options", "chosen_trials", "command", "describe", "enough_draws",
+    "finish", "numbers", "one_angle", "option", "pairs", "progress", "show", "the_cue", "the_scene",
+    "the_whisker", "values_of", "weber_fractions", "whisker_line",
 ]  # fmt: skip
 
 
@@ -500,6 +501,53 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
             raise Refusal(f"{name} takes a pair such as {example}", f"{text!r}")
         out[left.strip()] = right.strip()
     return out
+
+
+def chosen_trials(
+    trials: ww.Trials, only: Sequence[str] | None, without: Sequence[str] | None
+) -> ww.Trials:
+    """The trials with the values that `--only` gives, but those that `--without` does."""
+    example = "block=practice"
+    for name, texts in (("--only", only), ("--without", without)):
+        for one in texts or ():
+            ((column, text),) = pairs(name, [one], example).items()
+            there = (
+                trials.frame[column].dropna().unique() if column in trials.frame else np.array([])
+            )
+            values = {column: values_of(text, there.tolist())}
+            trials = trials.select(**values) if name == "--only" else trials.without(**values)
+    return trials
+
+
+def values_of(text: str, there: list[Any]) -> list[Any]:
+    """The value of that name, or several with commas between, or in ranges of numbers.
+
+    Examples
+    --------
+    >>> values_of("1,3-5", [1, 2, 3, 4, 5]), values_of("10-03", ["10-03", "11-03"])
+    ([1, 3, 4, 5], ['10-03'])
+    """
+    names = {_as_number(value): value for value in there} | {str(value): value for value in there}
+    if text.strip() in names:
+        return [names[text.strip()]]
+    chosen: list[Any] = []
+    for part in map(str.strip, text.split(",")):
+        ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part)
+        if ends and part not in names:
+            numbers = map(str, range(int(ends[1]), int(ends[2]) + 1))
+            chosen.extend(names.get(number, number) for number in numbers)
+        else:
+            chosen.append(names.get(part, part))
+    return chosen
+
+
+def _as_number(value: Any) -> str:
+    """A value of a table as one would type it: whole numbers without a point, texts too."""
+    try:
+        number = float(value)
+    except ValueError:
+        return str(value)
+    return f"{number:.0f}" if number.is_integer() else str(value)
 
 
 def option(parameter: str) -> str:

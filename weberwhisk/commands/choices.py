@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import sys
 from pathlib import Path
@@ -184,6 +183,17 @@ def fit(
     session: Annotated[
         opt.Text, "Sessions by name, or such as 31-40 or 1,2.", {"metavar": "LIST"}
     ] = None,
+    only: Annotated[
+        opt.Texts,
+        "Trials whose column has this value, or one of several (block=test,probe), and no others; "
+        "may be repeated, for trials that have all.",
+        {"metavar": "COLUMN=VALUES"},
+    ] = None,
+    without: Annotated[
+        opt.Texts,
+        "Trials to leave out: block=practice; may be repeated.",
+        {"metavar": "COLUMN=VALUES"},
+    ] = None,
     bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
     noise: Annotated[str, "weber, equal-variance or constant."] = "weber",
     effect: Annotated[
@@ -242,6 +252,7 @@ def fit(
     reading = {"in_order": in_order, "text_encoding": text_encoding}
     trials = _trials(file, column, label, task, scale, log_unit, encoding, reading)
     trials = _selected(trials, subject, session, together)
+    trials = opt.chosen_trials(trials, only, without)
     if encoding is not None:
         _refuse_metres(trials, encoding)
     if distances is not None:
@@ -379,30 +390,8 @@ def _selected(
             ),
         )
     if session is not None:
-        trials = trials.select(session=_sessions(session, trials.sessions))
+        trials = trials.select(session=opt.values_of(session, trials.sessions))
     return trials
-
-
-def _sessions(text: str, sessions: list[Any]) -> list[Any]:
-    """The sessions of that name, or of names with commas between, or in ranges of numbers.
-
-    Examples
-    --------
-    >>> _sessions("1,3-5", [1, 2, 3, 4, 5]), _sessions("10-03", ["10-03", "11-03"])
-    ([1, 3, 4, 5], ['10-03'])
-    """
-    names = {str(session): session for session in sessions}  # "1" is a number there
-    if text.strip() in names:
-        return [names[text.strip()]]
-    chosen: list[Any] = []
-    for part in map(str.strip, text.split(",")):
-        ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part)
-        if ends and part not in names:
-            numbers = map(str, range(int(ends[1]), int(ends[2]) + 1))
-            chosen.extend(names.get(number, number) for number in numbers)
-        else:
-            chosen.append(names.get(part, part))
-    return chosen
 
 
 def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:
