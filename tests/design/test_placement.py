@@ -233,7 +233,7 @@ def test_bad_input_in_one_sentence():
         ((1.0, 1.1, 2), "choice must be 1"),
         ((1.0, 1.1, "yes"), "choice must be 1"),
         ((1.0, np.nan, 1), "comparison must be finite"),
-        ((1.0, -1.0, 1), "is off the whisker"),
+        ((1.0, -1.0, 1), "lies outside what can be encoded"),
         (("far", 1.0, 1), "standard must be a number"),
     ):
         with pytest.raises(ValueError, match=words):

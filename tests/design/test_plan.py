@@ -160,7 +160,7 @@ def test_a_plan_of_another_version_says_which_made_it(plan: Plan) -> None:
     record = json.loads(plan_json(plan))
     record["version"] = 1
     record["made_with"] = {"weberwhisk": "9.9", "numpy": "7.1"}
-    with pytest.raises(ValueError, match=r"version 1 .* reads version 2; .*weberwhisk 9\.9"):
+    with pytest.raises(ValueError, match=r"version 1 .* reads versions 2 and 3; .*weberwhisk 9\.9"):
         plan_of(json.dumps(record))
 
 
@@ -179,7 +179,7 @@ C2 = Whisker.from_identity("C2")  # 33.6 mm
     [
         ({"standards": [40e-3]}, r"standard 40 mm is off the whisker, by 6\.4 mm past its tip"),
         ({"standards": [30e-3], "levels": [9.0]}, r"comparison .* is off the whisker, by"),
-        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the animal's range .* by 1\.?\d* mm"),
+        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the range .* by 1\.?\d* mm"),
         ({"trials": 0}, r"trials of a level must be a whole number of 1 or more, got 0"),
         ({"animals": 0}, r"animals must be a whole number of 1 or more, got 0"),
         ({"constraints": Constraints(nearest=9e-3), "trials": 5}, r"nearer .* by .* mm"),
@@ -250,7 +250,7 @@ def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
     (trials,) = {n for row in plan.scheme.trials for n in row}
     assert trials % 2 == 0
     size = plan.power["trials"][plan.power["trials"] <= trials].max()
-    assert size >= trials - 1
+    assert size == trials
     planned = plan.power[plan.power["trials"] == size]
     assert sorted(planned["truth"]) == ["cylindrical", "tapered"]
     assert (planned["upper"] > 0.85).all()

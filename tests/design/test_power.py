@@ -350,7 +350,7 @@ FEW = {"goal": Precision(half_width=0.2), "runs": 2}
         (lambda w: Evidence(bayes_factor=10, share=w), ()),
         (lambda w: Precision(half_width=w), ()),
         (lambda w: SubjectPopulation(lapse=w), ()),
-        (lambda w: Constraints(nearest=w), (3.5,)),
+        (lambda w: Constraints(nearest=w), (3.5, -1)),  # a level in decibels may be so
         (lambda w: Constraints(farthest=w), (3.5, np.inf)),
         (lambda w: Scheme([20e-3], w), ()),
         (lambda w: Scheme([20e-3], [2e-3], w), ()),

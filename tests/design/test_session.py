@@ -66,7 +66,8 @@ def test_what_was_shown_is_kept_and_bad_lines_leave_the_trial_standing(tmp_path:
     for error, words in zip(
         errors,
         ("must be JSON", "choice must be 1", "it has no choice", "'comparison' is unknown",
-         "is off the whisker", "comparison must be finite", "trial 7 is not the one that is open",
+         "lies outside what can be encoded", "comparison must be finite",
+         "trial 7 is not the one that is open",
          "trial 1 is not the one that is open; answer trial 2"),
         strict=True,
     ):  # fmt: skip

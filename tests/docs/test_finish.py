@@ -157,7 +157,7 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
     rest = own.assign(response=answer.astype(object))[half:]
     rest.iloc[3, -1] = None
     rest.to_csv(second, index=False)
-    trials = rig_trials([first, second])
+    trials = rig_trials([first, second], plan)
     assert (trials.n_trials, trials.n_missing) == (len(own) - 1, 1)
     given = trials.frame["count"]
     assert given[given.notna()].tolist() == (answer - 1)[given.notna().to_numpy()].tolist()
@@ -170,7 +170,7 @@ def test_every_answer_of_every_table_is_analysed_or_refused(
     assert "the planned 10" not in precisely  # of Bayes factors there was none
     rest.assign(response=answer - 1).to_csv(second, index=False)  # 0 and 1: which is which?
     with pytest.raises(ValueError, match=r"'0' is no answer; write left, 1 where"):
-        rig_trials([first, second])
+        rig_trials([first, second], plan)
     with pytest.raises(ValueError, match="write in it whose trial each row is"):
         replace(plan, scheme=plan.scheme.with_animals(2)).analyse(
             replace(trials, frame=trials.frame.drop(columns="subject"))

@@ -24,7 +24,7 @@ from .refusals import Advice
 __all__ = [
     "Array", "Codes", "Fields", "Flags", "Index", "Line", "Shown", "Value", "Worded",
     "counted", "density_quantiles", "distinct", "in_short", "interval_text", "member",
-    "methods_text", "paragraphs", "pd", "weighted_quantiles", "with_units",
+    "methods_text", "paragraphs", "pd", "plain_number", "weighted_quantiles", "with_units",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -298,6 +298,21 @@ def interval_text(middle: float, low: float, high: float, unit: str = "") -> str
     if abs(middle) >= 1e4 or digits > 6:
         return f"{middle:.4g}{unit} (95 %: {low:.4g} to {high:.4g})"
     return f"{middle:.{digits}f}{unit} (95 %: {low:.{digits}f} to {high:.{digits}f})"
+
+
+def plain_number(value: float, digits: int = 4) -> str:
+    """A number as people write it, to so many digits: without an exponent from 1e-5 to 1e9.
+
+    Examples
+    --------
+    >>> plain_number(1200.0, 3), plain_number(0.25), plain_number(123456.7), plain_number(2e12)
+    ('1200', '0.25', '123457', '2e+12')
+    """
+    if value == 0 or not math.isfinite(value) or not 1e-5 <= abs(value) < 1e9:
+        return f"{value:.{digits}g}"
+    places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    text = f"{value:.{places}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def counted(number: int, thing: str) -> str:

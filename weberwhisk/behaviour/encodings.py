@@ -221,9 +221,11 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
 def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
     """Refuse what the whisker cannot reach, past its tip, past its base, or flicked past: the
     farthest offender, and by how much it is off."""
-    at = np.atleast_1d(checks.numbers(name, stimulus, "give one distance, or several"))
+    at = np.atleast_1d(checks.numbers(name, stimulus, "give one, or several"))
     if not at.size:
-        raise Refusal(f"a {name} is needed", "none", "give one distance, or several")
+        raise Refusal(f"a {name} is needed", "none", "give one, or several")
+    if not isinstance(getattr(encoding, "base", encoding), OF_DISTANCE):
+        refuse_outside(encoding, at)
     low, high = encoding.domain
 
     def said(value: float) -> str:

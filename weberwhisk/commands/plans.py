@@ -21,7 +21,7 @@ from .._util.values import counted, pd
 from . import numbers
 
 if TYPE_CHECKING:
-    from ..design import Constraints, Goal, Plan
+    from ..design import Constraints, Goal, Magnitude, Plan
 
 __all__ = ["analyse", "design", "rehearse", "rig_trials"]
 
@@ -31,14 +31,41 @@ _LEVELS = "-3.5,-1.5,-0.75,0.75,1.5,3.5"
 
 @opt.command
 def design(
+    magnitude: Annotated[
+        opt.Text,
+        "What is compared, where it is no distance along a whisker: duration, weight, 'sound "
+        "level', frequency, number or any other, in your words.",
+    ] = None,
+    unit: Annotated[opt.Text, "Of a magnitude, such as ms.  [default: by the magnitude]"] = None,
+    standards: Annotated[opt.Texts, "Magnitudes compared with."] = None,
+    least: Annotated[opt.Number, "Least magnitude that can be put.  [default: 0]"] = None,
+    greatest: Annotated[opt.Number, "Greatest magnitude that can be put."] = None,
+    step: Annotated[opt.Number, "Step of a magnitude.  [default: a round one]"] = None,
+    words: Annotated[
+        opt.Text,
+        "What the greater and the smaller of two are called.  [default: by the magnitude]",
+        {"metavar": "LONGER,SHORTER"},
+    ] = None,
+    log_unit: Annotated[
+        opt.Number, "Natural-log units in a unit that is a logarithm.  [default: of dB, 0.115]"
+    ] = None,
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
-    task: Annotated[opt.Text, "2AFC, 2IFC, yes/no, go/no-go (at a pole).  [default: 2AFC]"] = None,
+    task: Annotated[
+        opt.Text,
+        "2AFC, 2IFC, yes/no, go/no-go (at a pole).  [default: 2AFC, or 2IFC of a --magnitude]",
+    ] = None,
     question: Annotated[
         opt.Text,
         "What is to be found: whiskers (tapered or cylinder), weber-law (or constant noise) or "
-        "precision (of k).  [a terminal asks; else whiskers]",
+        "precision (of k).  [a terminal asks; else whiskers, or weber-law of a --magnitude]",
+    ] = None,
+    rival: Annotated[
+        opt.Text,
+        "Of weber-law: constant, exponent:0.5 (noise as a power of the signal) or floor:20 (noise "
+        "that is left, in the unit).  [default: constant]",
+        {"metavar": "NAME[:VALUE]"},
     ] = None,
     bayes_factor: Annotated[opt.Number, "Goal: a Bayes factor of this.  [default: 10]"] = None,
     half_width: Annotated[opt.Number, "Goal: 95 % interval of k, 0.2 for ±20 %."] = None,
@@ -49,7 +76,8 @@ def design(
     level: Annotated[opt.Texts, f"Comparisons, in sds of the noise.  [default: {_LEVELS}]"] = None,
     best: Annotated[bool, "Choose the most informative standards and offsets in reach."] = False,
     trials: Annotated[int | None, "Of each comparison, per animal.  [default: by the goal]"] = None,
-    animals: Annotated[int, "How many."] = 1,
+    animals: Annotated[int | None, "How many.  [default: 1]"] = None,
+    people: Annotated[int | None, "How many, where those who answer are people."] = None,
     find: Annotated[
         opt.Text,
         "What the goal decides: trials, animals or nothing.  [default: trials, where they are not "
@@ -66,28 +94,47 @@ def design(
     runs: Annotated[int, "Experiments simulated at each size, for the power."] = 512,
     workers: int | None = None,
     scheduler: str | None = None,
-    title: Annotated[str, "Of the page."] = "Discrimination of radial distance",
+    title: Annotated[opt.Text, "Of the page.  [default: by the magnitude]"] = None,
     seed: int = 1,
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
-    """Plan an experiment: distances, trials, animals, trial lists, and what to expect of it.
+    """Plan an experiment: stimuli, trials, animals or people, trial lists, and what to expect.
 
+    Of radial distances (--standard-mm, with a whisker), or of any --magnitude (--standards).
     Writes trial lists for PsychoPy and Bpod, a page to print with expected curves and a text for a
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
     inputs = opt.as_asked(locals())
     from ..design import Evidence, Precision, SubjectPopulation
 
-    whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
-    standards = numbers("--standard-mm", standard_mm or [])
-    checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
+    of, limits = _magnitude_asked(magnitude, unit, (least, greatest, step), words, log_unit)
+    whisker: ww.Whisker | None = None
+    if of is None:
+        whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
+        limits = _constraints(nearest_mm, farthest_mm, step_mm)
+        if standards:
+            raise Refusal(
+                "--standards are those of a --magnitude", "none",
+                "write --magnitude duration, say, or --standard-mm for distances",
+            )  # fmt: skip
+        at = numbers("--standard-mm", standard_mm or [])
+        checks.positive("--standard-mm", at, "give millimetres, such as 10,20")
+        at = at * 1e-3
+    else:
+        if shape.given or standard_mm:
+            raise Refusal(
+                f"A plan is of {of.plural} or of distances along a whisker", "both",
+                "leave --magnitude out, or the whisker and --standard-mm",
+            )  # fmt: skip
+        at = numbers("--standards", standards or [])
+        checks.finite("--standards", at, "give numbers, such as 10,20")
     levels = numbers("--level", level or [_LEVELS])
     encoded: dict[str, Any] = {}
     if cue is not None or deflection_angle_deg:
         signals, angles = opt.the_cue(cue, deflection_angle_deg)
         encoded = {"cue": signals, "deflection_angle": opt.one_angle(angles)}
-    if (question, bayes_factor, half_width) == (None, None, None) and not as_json:
+    if (question, bayes_factor, half_width, of) == (None, None, None, None) and not as_json:
         question = inputs["question"] = _question_asked()
     if bayes_factor is not None and half_width is not None:
         raise Refusal(
@@ -95,18 +142,23 @@ def design(
             "both",
             "write --bayes-factor or --half-width",
         )
+    if people is not None and animals is not None:
+        raise Refusal("Those who answer are animals or people", "both", "leave one out")
+    who = "subject" if of is not None and animals is None else "animal"
+    who = "person" if people is not None else who
+    number = next((n for n in (people, animals) if n is not None), 1)
     goal: Goal = Evidence(10.0 if bayes_factor is None else bayes_factor, share)
     if half_width is not None or (bayes_factor is None and question == "precision"):
         goal = Precision(0.2 if half_width is None else half_width, share)
     with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
-            whisker, question=question, goal=goal,
-            standards=standards * 1e-3 if standards.size else None,
+            whisker or "C2", magnitude=of, question=question, rival=rival, goal=goal,
+            standards=at if at.size else None,
             levels=checks.finite("--level", levels, "write -1,1, say"), best=best,
-            trials=trials, animals=animals, find=find,
-            expected=SubjectPopulation(weber_fraction, spread, lapse),
-            constraints=_constraints(nearest_mm, farthest_mm, step_mm),
-            trials_per_session=trials_per_session, together=False if apart else None, title=title,
+            trials=trials, animals=number, find=find,
+            expected=SubjectPopulation(weber_fraction, spread, lapse, subject=who),
+            constraints=limits, trials_per_session=trials_per_session,
+            together=False if apart else None, title=title or "",
             runs=runs, task=task, seed=seed, workers=all_cores(workers, scheduler),
             scheduler=scheduler, progress=(lambda done: None) if as_json else None, **encoded,
         )  # fmt: skip
@@ -114,15 +166,40 @@ def design(
             from ..plots.designs import fill
 
             fill(run, plan)
-    opt.finish(
-        run, as_json, _answer(plan, whisker), f"{opt.whisker_line(whisker)}\n", _summary(plan)
-    )
+    first_lines = [] if whisker is None else [f"{opt.whisker_line(whisker)}\n"]
+    opt.finish(run, as_json, _answer(plan, whisker), *first_lines, _summary(plan))
     if as_json:
         return
     if run.out_dir is None:
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
+
+
+def _magnitude_asked(
+    name: str | None, unit: str | None, limits: tuple[float | None, ...], words: str | None,
+    log_unit: float | None,
+) -> tuple[Magnitude | None, Constraints | None]:  # fmt: skip
+    """The magnitude of the options, and what stimuli there are where that is said."""
+    given = {"--unit": unit, "--words": words, "--log-unit": log_unit}
+    given |= dict(zip(("--least", "--greatest", "--step"), limits, strict=True))
+    if name is None:
+        for option, value in given.items():
+            if value is not None:
+                raise Refusal(
+                    f"{option} is of a --magnitude", "none", "write --magnitude duration, say"
+                )
+        return None, None
+    greater, comma, less = (words or "").partition(",")
+    if words is not None and not (greater.strip() and less.strip()):
+        raise Refusal("--words takes two words, such as longer,shorter", repr(words))
+    said = {"greater": greater.strip(), "less": less.strip()} if comma else {}
+    least, greatest, step = limits
+    of = ww.design.magnitude_named(
+        name, unit, least=least, greatest=greatest, step=step, log_unit=log_unit, **said
+    )
+    limited = least is not None or greatest is not None or step is not None
+    return of, ww.design.Constraints(of.least, of.greatest, of.step) if limited else None
 
 
 def _question_asked() -> str | None:
@@ -156,13 +233,16 @@ def _constraints(nearest_mm: float, farthest_mm: float | None, step_mm: float) -
     return ww.design.Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3)
 
 
-def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
-    scheme, power = plan.scheme, plan.power
-    return {
-        "whisker": opt.describe(whisker), "goal": str(plan.goal), "animals": scheme.animals,
+def _answer(plan: Plan, whisker: ww.Whisker | None) -> dict[str, Any]:
+    scheme, power, of = plan.scheme, plan.power, plan.magnitude
+    about: dict[str, Any] = {"magnitude": of.name, "unit": of.unit}
+    if whisker is not None:
+        about = {"whisker": opt.describe(whisker)}
+    return about | {
+        "goal": str(plan.goal), "animals": scheme.animals,
         "trials_per_animal": scheme.n_trials, "total_trials": scheme.total_trials,
         "sessions": plan.sessions,
-        "levels": scheme.table().drop(columns="offset_mm").to_dict("records"),
+        "levels": scheme.table().drop(columns=of.column("offset")).to_dict("records"),
         "power": None if power is None else power.to_dict("records"),
         "trials_sha256": plan.fingerprint,
     }  # fmt: skip
@@ -171,15 +251,16 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
 def _summary(plan: Plan) -> str:
     from ..design.plan_file import assumptions, offsets_in_words
 
-    scheme = plan.scheme
+    scheme, of = plan.scheme, plan.magnitude
+    unit = f" {of.unit}" if of.unit else ""
     lines = [
         f"Goal: {plan.goal}.",
-        f"{counted(scheme.animals, 'animal')} × {scheme.n_trials} trials in "
+        f"{plan.animals.counted(scheme.animals)} × {scheme.n_trials} trials in "
         f"{counted(plan.sessions, 'session')}, {scheme.total_trials} in all:",
     ]
     for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
-        offsets, times = offsets_in_words(row), ", ".join(map(str, sorted(set(n))))
-        lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
+        offsets, times = offsets_in_words(row, of), ", ".join(map(str, sorted(set(n))))
+        lines.append(f"  standard {of.said(standard)}, offsets {offsets}{unit}, {times} each")
     lines += [plan.power_in_words()] * bool(plan.power_in_words())
     lines += ["Assumed:", *("  " + line for line in assumptions(plan))]
     return Advice.joined("\n", lines)
@@ -246,8 +327,8 @@ def analyse(
     """The preregistered analysis of a plan, on PsychoPy's or Bpod's own output.
 
     The tables, or Bpod's SessionData (.mat), have the columns of the trial lists, and an answer:
-    PsychoPy's <keyboard>.keys (left or right), `response` (1 left, 2 right) or `choice` (1 where
-    the second was judged farther).
+    PsychoPy's <keyboard>.keys (the plan's keys), `response` (1 left, 2 right) or `choice` (1 where
+    the second was judged greater: farther, longer).
     """
     for path in (file, *data):
         if not path.is_file():
@@ -255,10 +336,10 @@ def analyse(
                 f"{str(path)!r} is not a file", remedy="name a plan.json and tables of trials"
             )
     plan = ww.read_plan(file)
-    trials = rig_trials(data, plan.hypotheses[0].task)
+    trials = rig_trials(data, plan)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
     with Run(out, "analyse", inputs) as run:
-        analysis = plan.analyse(trials, unit=1e-3)
+        analysis = plan.analyse(trials, unit=1 / plan.magnitude.per_unit)
         words = analysis.report()
         run.table("analysis", analysis.estimates)
         if run.out_dir is not None:
@@ -272,27 +353,38 @@ def analyse(
     opt.finish(run, as_json, answer, words.rstrip())
 
 
-def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
-    """The trials in the tables of one rig, in mm; rows without a stimulus are left out."""
+def rig_trials(files: list[Path], plan: Plan) -> ww.Trials:
+    """The trials in the tables of one rig, in their unit; rows without a stimulus are left out."""
     from ..behaviour.trials import STIMULI
     from ..recordings.tables import load_table
 
+    of, task = plan.magnitude, plan.hypotheses[0].task
     loaded = [load_table(path) for path in files]
-    table = pd.concat([_with_choice(t.frame, path) for t, path in zip(loaded, files, strict=True)])
-    named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
+    table = pd.concat(
+        [_with_choice(t.frame, path, plan) for t, path in zip(loaded, files, strict=True)]
+    )
+    named = {name: of.column(name) for name in STIMULI if of.column(name) in table}
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"
-    trials = ww.read_trials(table.reset_index(drop=True), columns=named, task=task)
+    trials = ww.read_trials(
+        table.reset_index(drop=True), columns=named, task=task, scale=of.scale,
+        log_unit=of.log_unit,
+    )  # fmt: skip
     of_files = [f"{t.name}: {note}" for t in loaded for note in t.notes]
     return replace(trials, notes=(*of_files, *trials.notes))
 
 
-def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
+def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:
     """The trials of one table, with answers as `choice`: 1, 0, or NaN for none."""
     from ..behaviour.trials import rows_in_words
+    from ..design.session import KEYS, PLACES
 
+    of, asked = plan.magnitude, plan.hypotheses[0].asked
+    of_one = asked.name in KEYS
+    greater = f"the answer was {asked.answer}" if of_one else f"the second was judged {of.greater}"
+    other = "the other" if of_one else f"the first was judged {of.greater}"
     places = np.arange(1, len(table) + 1)
-    for name in ("stimulus_1_mm", "stimulus_1"):
+    for name in (of.column("stimulus_1"), "stimulus_1"):
         if name in table:
             shown = table[name].notna().to_numpy()
             table, places = table[shown], places[shown]
@@ -305,14 +397,19 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
         raise Refusal(
             f"{str(file)!r}: there is no one column of answers",
             ", ".join(columns) or "none",
-            "call it choice (1 where the second was judged farther), response or <keyboard>.keys",
+            f"call it choice (1 where {greater}), response or <keyboard>.keys",
         )
     given = table[columns[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
-    codes = {"left": 0.0, "right": 1.0, "1": 0.0, "2": 1.0}
+    no, yes = KEYS.get(asked.name) or PLACES.get(asked.name, ("left", "right"))
+    keys = {"left": 0.0, "right": 1.0, no: 0.0, yes: 1.0}
+    keys.pop("None", None)
+    codes = keys | {"1": 0.0, "2": 1.0}
     if columns == ["choice"]:
-        codes = {"left": 0.0, "right": 1.0, "0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
+        codes = keys | {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
     none = "", "nan", "none", "<na>", "null", "na", "n/a"
+    if asked.name == "go/no-go" and columns[0].endswith(".keys"):
+        codes |= dict.fromkeys(none, 0.0)  # not to press is an answer
     unknown = ~given.isin([*codes, *none]).to_numpy()
     if unknown.any():
         raise Refusal(
@@ -320,9 +417,8 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             f"{checks.listed(given[unknown].unique())} is no answer",
             remedy=(
                 f"write {', '.join(code for code, second in codes.items() if not second)} "
-                "where the first was judged farther, "
-                f"{', '.join(code for code, second in codes.items() if second)} where the "
-                "second, and nothing for no answer"
+                f"where {other}, {', '.join(code for code, second in codes.items() if second)} "
+                f"where {greater}, and nothing for no answer"
             ),
         )
     return table.assign(choice=given.map(codes))

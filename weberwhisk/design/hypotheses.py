@@ -14,9 +14,11 @@ from .._util import checks
 from .._util.refusals import Refusal, argument
 from .._util.values import Array, Fields
 from ..behaviour.encodings import (
+    OF_DISTANCE,
     ConstantNoise,
     CueEncoding,
     Encoding,
+    LogEncoding,
     checked_encoding,
     refuse_out_of_reach,
     unit_encodings,
@@ -30,10 +32,13 @@ from ..behaviour.trials import STIMULI, Cells, Trials
 from ..cues import Compliance, ForceMap
 from ..inference.observer import Observer
 from ..whisker import Whisker
+from .magnitude import Magnitude
 from .scheme import Scheme
 
 __all__ = ["Hypothesis", "SubjectPopulation", "cues", "noises", "taper", "with_priors"]
 
+#: What those who answer are called, one and several.
+SUBJECTS = {"animal": "animals", "person": "people", "subject": "subjects"}
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 
@@ -109,7 +114,7 @@ class Hypothesis(Fields):
         Raises
         ------
         ValueError
-            For distances that cannot be encoded.
+            For stimuli that cannot be encoded.
         """
         cells = scheme.cells() if isinstance(scheme, Scheme) else scheme
         for what, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
@@ -144,7 +149,9 @@ class Hypothesis(Fields):
         frame = pd.DataFrame({name: getattr(cells, name) for name in STIMULI})
         count = self.expected_counts(scheme, weber_fraction, lapse)
         frame = frame.assign(n=cells.n.astype(np.int64), count=count)
-        return Trials(frame, self.asked, source="expected answers")
+        log_unit = self.encoding.log_unit if isinstance(self.encoding, LogEncoding) else None
+        scale = "linear" if log_unit is None else "log"
+        return Trials(frame, self.asked, scale, log_unit, source="expected answers")
 
 
 def options_of(hypothesis: Hypothesis) -> dict[str, Any]:
@@ -242,7 +249,7 @@ def noises(
     2.0
     """
     checked_encoding(encoding)
-    at = np.atleast_1d(checks.finite("standards", standards, "give two distances or more"))
+    at = np.atleast_1d(checks.finite("standards", standards, "give two or more"))
     refuse_out_of_reach(encoding, at, "standard")
     sd = encoding.sd_per_weber_fraction(at)
     if sd.size < 2:
@@ -281,10 +288,24 @@ def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     return given
 
 
-def check_metres(hypotheses: Sequence[Hypothesis]) -> None:
-    """Refuses encodings of distances in another unit where tables have mm for metres."""
+def check_magnitude(hypotheses: Sequence[Hypothesis], magnitude: Magnitude) -> None:
+    """Refuses encodings of another magnitude than the scheme's, or of distances in another unit
+    where tables have mm for metres."""
     for h in hypotheses:
-        unit = getattr(getattr(h.encoding, "base", h.encoding), "unit", 1.0)
+        base = getattr(h.encoding, "base", h.encoding)
+        if isinstance(base, OF_DISTANCE) != magnitude.is_distance:
+            raise Refusal(
+                f"the scheme is of {magnitude.name}, and {h.name!r} encodes another magnitude",
+                remedy="give the scheme magnitude=ww.design.Magnitude(...), or a whisker",
+            )
+        log_unit = getattr(base, "log_unit", None)
+        if not magnitude.is_distance and log_unit != magnitude.log_unit:
+            raise Refusal(
+                f"the scheme's stimuli have log_unit={magnitude.log_unit}, and {h.name!r} encodes "
+                f"log_unit={log_unit}",
+                remedy="write encoding=magnitude.encoding",
+            )
+        unit = getattr(base, "unit", 1.0)
         if unit != 1.0:
             raise Refusal(
                 "a plan has distances in metres",
@@ -302,7 +323,7 @@ def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypot
 
 @dataclass(frozen=True, repr=False)
 class SubjectPopulation(Fields):
-    """What the animals are expected to be like.
+    """What the animals, or people, are expected to be like.
 
     Parameters
     ----------
@@ -316,6 +337,8 @@ class SubjectPopulation(Fields):
         Standard deviation of the animals' biases, in sds of the difference between the two signals.
     lapses_vary : bool
         Whether each animal has lapses of its own, from Beta(2, 2/lapse − 2), or all have the same.
+    subject : {"animal", "person", "subject"}
+        What they are called.
     """
 
     weber_fraction: float = 0.1
@@ -323,12 +346,23 @@ class SubjectPopulation(Fields):
     lapse: float = 0.03
     bias_spread: float = 0.2
     lapses_vary: bool = True
+    subject: str = "animal"
 
     def __post_init__(self) -> None:
+        checks.one_of("subject", self.subject, SUBJECTS)
         checks.positive_number("weber_fraction", self.weber_fraction, "write for example 0.1")
         for name in ("spread", "bias_spread"):
             checks.non_negative_number(name, getattr(self, name), "write for example 0.03")
         checks.between("lapse", self.lapse, "write for example 0.03", high=0.5, ends="[)")
+
+    @property
+    def subjects(self) -> str:
+        """What several are called."""
+        return SUBJECTS[self.subject]
+
+    def counted(self, number: int) -> str:
+        """So many of them, in words."""
+        return f"{number} {self.subject if number == 1 else self.subjects}"
 
     def draw(self, number: int, seed: np.random.SeedSequence | int) -> pd.DataFrame:
         """So many of them, a row each: the truth that `simulate_responses` takes."""
@@ -362,7 +396,9 @@ def check_task(task: str) -> None:
         )
 
 
-def check_answers(trials: Trials, task: str, animals: int) -> None:
+def check_answers(
+    trials: Trials, task: str, animals: int, expected: SubjectPopulation | None = None
+) -> None:
     """Refuses trials of another question than was planned, and several animals without names."""
     trials_task = trials.task.name
     if trials_task != task and not any(
@@ -375,7 +411,7 @@ def check_answers(trials: Trials, task: str, animals: int) -> None:
         )
     if animals > 1 and not trials.subjects:
         raise Refusal(
-            f"{trials.source}: the plan is of {animals} animals",
+            f"{trials.source}: the plan is of {(expected or SubjectPopulation()).counted(animals)}",
             "no column 'subject'",
             "write in it whose trial each row is",
         )

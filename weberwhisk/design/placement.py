@@ -26,6 +26,7 @@ from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.trials import Trials
 from .belief import Belief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
+from .magnitude import Magnitude, magnitude_of
 from .scheme import Scheme
 
 __all__ = ["BayesianPlacer", "Proposal", "TrialLog", "next_trial"]
@@ -172,6 +173,13 @@ class TrialLog(Line):
         unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
         scale = "linear" if unit is None else "log"
         return Trials(frame, self.hypotheses[0].asked, scale, unit, "trials placed")
+
+    @property
+    def magnitude(self) -> Magnitude:
+        """What the stimuli are: of the scheme, where its unit is that of the encoding."""
+        by_encoding = magnitude_of(self.hypotheses[0].encoding)
+        of_distance = by_encoding.is_distance or self.scheme.magnitude.is_distance
+        return by_encoding if of_distance else self.scheme.magnitude
 
     def fits(self) -> dict[str, WeberFit]:
         """The trials fitted under each hypothesis, as any other trials are."""

@@ -19,7 +19,7 @@ from scipy.stats import binom
 from .._util import checks
 from .._util.output import csv_text, versions_in_words
 from .._util.refusals import Refusal, argument
-from .._util.values import Array, Shown, counted, interval_text, paragraphs
+from .._util.values import Array, Shown, counted, interval_text, paragraphs, plain_number
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, PopulationStatus, fit_population
 from ..behaviour.psychometric import difference_sd
@@ -33,12 +33,14 @@ from .hypotheses import (
     SubjectPopulation,
     check_answers,
     check_distinct,
-    check_metres,
+    check_magnitude,
     check_task,
     options_of,
 )
+from .magnitude import Magnitude
 from .power_analysis import share_in_words
-from .scheme import Constraints, Scheme, millimetres
+from .rivals import FlooredNoise
+from .scheme import Constraints, Scheme
 from .session import sessions_needed, trial_lists
 
 __all__ = ["AnalysisResult", "Plan", "analyse"]
@@ -102,14 +104,19 @@ class AnalysisResult(Shown):
     def report(self) -> str:
         """What was found, in plain words, a paragraph for each heading."""
         plan, trials = self.plan, self.trials
-        animals = counted(max(len(trials.subjects), 1), "animal")
+        who = SubjectPopulation() if plan is None else plan.animals
+        animals = who.counted(max(len(trials.subjects), 1))
         data = f"{counted(trials.n_trials, 'trial')} with an answer of {animals}"
         if plan is not None:
             data += f", analysed as planned; {plan.scheme.total_trials} were planned"
         sentences = []
-        for row in self.estimates.to_dict("records"):
+        for row, fit in zip(self.estimates.to_dict("records"), self.fits, strict=True):
             k = interval_text(row["weber_fraction"], row["lower"], row["upper"])
-            said = FitStatus[row["status"]].message
+            if isinstance(fit, PopulationFit):
+                said = PopulationStatus[row["status"]].value
+            else:
+                said = FitStatus[row["status"]].message
+            said = said.replace("animals", who.subjects).replace("animal", who.subject)
             sentences.append(f"{row['hypothesis']}, {row['subject']}: k = {k}; {said}.")
         if self.left_out:
             sentences.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
@@ -257,7 +264,7 @@ class Plan(Shown):
     Parameters
     ----------
     scheme : Scheme
-        Levels, trials and the number of animals; radial distances in m.
+        Levels, trials and the number of animals; radial distances in m, or another magnitude.
     hypotheses : sequence of Hypothesis
         As they will be fitted; the first is what is expected.
     goal : Goal
@@ -291,7 +298,7 @@ class Plan(Shown):
     longest_run: int = 5
     together: bool = False
     seed: int = 1
-    title: str = "Discrimination of radial distance"
+    title: str = ""
     power: pd.DataFrame | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -306,6 +313,8 @@ class Plan(Shown):
                     checks.shown(getattr(self, name)),
                     "make one first",
                 )
+        if not self.title:
+            object.__setattr__(self, "title", self.magnitude.title)
         for name in ("trials_per_session", "longest_run", "seed"):
             least = {"longest_run": 2, "seed": 0}.get(name, 1)
             whole = checks.whole(name, getattr(self, name), "write 300, say", least=least)
@@ -322,10 +331,15 @@ class Plan(Shown):
                 "A Weber fraction that is given is not learnt from several animals",
                 remedy="write " + argument("together", False),
             )
-        check_metres(self.hypotheses)
+        check_magnitude(self.hypotheses, self.scheme.magnitude)
         self.constraints.check(self.scheme, first.encoding)
         for hypothesis in self.hypotheses:
             hypothesis.model(self.scheme)  # refuses what this one cannot encode
+
+    @property
+    def magnitude(self) -> Magnitude:
+        """What the stimuli are."""
+        return self.scheme.magnitude
 
     @cached_property
     def trials(self) -> pd.DataFrame:
@@ -364,20 +378,21 @@ class Plan(Shown):
     def levels(self) -> pd.DataFrame:
         """Expected share of "second greater" at every level, and where 95 % of animals fall.
 
-        Columns `standard_mm`, `comparison_mm`, `n`, `expected`, `lower`, `upper` (binomial).
+        Columns `standard`, `comparison` (with their unit), `n`, `expected`, `lower`, `upper`
+        (binomial).
         """
         frame = self.expected_trials.frame
         n, share = frame["n"].to_numpy(), (frame["count"] / frame["n"]).to_numpy()
         low, high = (binom.ppf(q, n, share) / n for q in (0.025, 0.975))
         named = {"standard": frame["standard"], "comparison": frame["stimulus_2"], "n": n}
         table = pd.DataFrame({**named, "expected": share, "lower": low, "upper": high})
-        return _in_mm(table, "standard", "comparison")
+        return self._in_unit(table, "standard", "comparison")
 
     @cached_property
     def curves(self) -> pd.DataFrame:
         """Expected psychometric functions, by hypothesis.
 
-        Columns `hypothesis`, `standard_mm`, `comparison_mm`, `median`, `lower`, `upper`.
+        Columns `hypothesis`, `standard`, `comparison`, with their unit, `median`, `lower`, `upper`.
         """
         tables = []
         for name, fit in self.expected_fits:
@@ -386,13 +401,16 @@ class Plan(Shown):
                 low, high = comparisons.min(), comparisons.max()
                 margin = 0.1 * (high - low) or 0.05 * standard
                 first, last = fit.encoding.domain
-                start = max(low - margin, first + 0.02 * (low - first))
-                end = min(high + margin, last - 0.02 * (last - high))
+                start, end = low - margin, high + margin
+                if np.isfinite(first):
+                    start = max(start, first + 0.02 * (low - first))
+                if np.isfinite(last):
+                    end = min(end, last - 0.02 * (last - high))
                 curve = fit.psychometric(np.linspace(start, end, 81), float(standard))
                 curve.insert(0, "standard", float(standard))
                 curve.insert(0, "hypothesis", name)
                 tables.append(curve)
-        return _in_mm(pd.concat(tables, ignore_index=True), "standard", "comparison")
+        return self._in_unit(pd.concat(tables, ignore_index=True), "standard", "comparison")
 
     @cached_property
     def jnds(self) -> pd.DataFrame:
@@ -400,49 +418,43 @@ class Plan(Shown):
 
         Small offsets: a JND is k σ(s)/|μ′(s)| times the factor of the criterion, k r (1 − r/A) for
         a tapered whisker's compliance and k r for a cylinder's, (3.5) and (3.6). Columns
-        `hypothesis`, `stimulus_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`.
+        `hypothesis`, `stimulus`, `jnd`, `lower`, `upper`, with their unit, `criterion`.
         """
         at = self.scheme.cells().stimulus_2
         low, high, edge = at.min(), at.max(), self.hypotheses[0].encoding.domain[1]
-        places = np.linspace(0.5 * low, high + 0.5 * (min(edge, 2 * high) - high), 81)
-        tables = {name: _jnds(fit, "stimulus", places) for name, fit in self.expected_fits}
+        ends = 0.5 * low, high + 0.5 * (min(edge, 2 * high) - high)
+        if self.magnitude.is_log or low <= 0:
+            ends = low - 0.2 * (high - low), high + 0.2 * (high - low)
+        places = np.linspace(*ends, 81)
+        tables = {name: self._jnds(fit, "stimulus", places) for name, fit in self.expected_fits}
         return pd.concat(tables, names=["hypothesis"]).reset_index(0).reset_index(drop=True)
 
     @cached_property
     def jnds_by_standard(self) -> pd.DataFrame:
         """The JND of one animal, from the trials of each standard alone.
 
-        Columns `standard_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`, `status`.
+        Columns `standard`, `jnd`, `lower`, `upper`, with their unit, `criterion`, `status`.
         """
         tables = []
         for standard in self.expected_trials.standards:
             fit = self.hypotheses[0].fit(self.expected_trials.select(standard=float(standard)))
-            jnd = _jnds(fit, "standard", np.array([float(standard)]))
+            jnd = self._jnds(fit, "standard", np.array([float(standard)]))
             tables.append(jnd.assign(status=fit.status.name))
         return pd.concat(tables, ignore_index=True)
 
     def analyse(self, trials: Trials, *, unit: float = 1.0, check: bool = True) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
-        check_answers(trials, self.hypotheses[0].task, self.scheme.animals)
-        planned = np.median(self.scheme.cells().stimulus_2)
-        ratio = float(unit * trials.frame["stimulus_2"].median() / planned)
-        if planned > 0 and not 1 / 8 < ratio < 8:
-            raise Refusal(
-                f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned",
-                remedy=(
-                    "check their unit: trial lists have mm, in columns called "
-                    "stimulus_1_mm and the like"
-                ),
-            )
+        check_answers(trials, self.hypotheses[0].task, self.scheme.animals, self.animals)
+        self._check_unit(trials, unit)
         result = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
         return replace(result, plan=self)
 
     def _line(self) -> str:
         scheme = self.scheme
-        standards = ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards)
         return (
-            f"{self.title}; standards {standards} mm; {scheme.n_trials} trials an animal, "
-            f"{counted(scheme.animals, 'animal')}; goal: {self.goal}"
+            f"{self.title}; standards {self.magnitude.listed(scheme.standards)}; "
+            f"{scheme.n_trials} trials each, {self.animals.counted(scheme.animals)}; "
+            f"goal: {self.goal}"
         )
 
     def _table(self) -> pd.DataFrame:
@@ -459,7 +471,8 @@ class Plan(Shown):
             return ""
         trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
         compared = len(self.hypotheses) > 1
-        whose = "" if compared or self.together or animals == 1 else " of their animals"
+        apart = not (compared or self.together or animals == 1)
+        whose = f" of their {self.animals.subjects}" if apart else ""
         each = [
             f"{share_in_words(row)}{whose}" + f" if {row['truth']} is true" * compared
             for row in self.power.to_dict("records")
@@ -467,20 +480,46 @@ class Plan(Shown):
         ]
         return (
             f"Of simulated experiments with {trials} trials of each comparison and "
-            f"{counted(animals, 'animal')}, the aim is reached by {', '.join(each)}."
+            f"{self.animals.counted(animals)}, the aim is reached by {', '.join(each)}."
         )
 
+    def _check_unit(self, trials: Trials, unit: float) -> None:
+        """Refuses stimuli that are far from those planned, as in another unit."""
+        planned, columns = self.scheme.cells().stimulus_2, map(self.magnitude.column, STIMULI[1:])
+        given, words = unit * trials.frame["stimulus_2"].median(), ""
+        if self.magnitude.is_log:
+            off = float(given - np.median(planned))
+            if abs(off) > 3 * np.ptp(planned) + 10 * np.log(8) / (self.magnitude.log_unit or 1.0):
+                words = f"{off:+.3g} from those planned"
+        elif (middle := np.median(planned)) > 0 and not 1 / 8 < (ratio := given / middle) < 8:
+            words = f"{plain_number(float(ratio), 3)} times as large as those planned"
+        if words:
+            unit_named = f"{self.magnitude.unit}, in " if self.magnitude.unit else ""
+            raise Refusal(
+                f"{trials.source}: stimuli are {words}",
+                remedy=f"check their unit: trial lists have {unit_named}columns called "
+                f"{' and '.join(columns)}",
+            )
 
-def _jnds(fit: WeberFit, name: str, at: Array, criterion: str = "75% 2AFC") -> pd.DataFrame:
-    """JNDs of a fit at some stimuli, with 95 % intervals."""
-    unit = criterion_factor(criterion) * difference_sd(fit.encoding, at) / np.sqrt(2.0)
-    low, high = fit.interval(0.95)
-    jnd = {"jnd": fit.weber_fraction * unit, "lower": low * unit, "upper": high * unit}
-    table = pd.DataFrame({name: at, **jnd, "criterion": criterion})
-    return _in_mm(table, name, "jnd", "lower", "upper")
+    def _jnds(
+        self, fit: WeberFit, name: str, at: Array, criterion: str = "75% 2AFC"
+    ) -> pd.DataFrame:
+        """JNDs of a fit at some stimuli, with 95 % intervals."""
+        sd = difference_sd(fit.encoding, at) / np.sqrt(2.0)
+        # A floor is noise of the signal: in the stimulus it goes as the Weber noise does.
+        floor: Any = 0.0
+        if isinstance(fit.encoding, FlooredNoise):
+            floor = fit.encoding.floor * sd / fit.encoding.sd_per_weber_fraction(at)
+        ends = dict(zip(("lower", "upper"), fit.interval(0.95), strict=True))
+        jnd = {
+            name: criterion_factor(criterion) * np.hypot(k * sd, floor)
+            for name, k in {"jnd": fit.weber_fraction, **ends}.items()
+        }
+        table = pd.DataFrame({name: at, **jnd, "criterion": criterion})
+        return self._in_unit(table, name, "jnd", "lower", "upper")
 
-
-def _in_mm(table: pd.DataFrame, *lengths: str) -> pd.DataFrame:
-    """A table in mm, as the trial lists have them; the names of its columns then say so."""
-    converted = table.assign(**{name: millimetres(table[name]) for name in lengths})
-    return converted.rename(columns={name: f"{name}_mm" for name in lengths})
+    def _in_unit(self, table: pd.DataFrame, *stimuli: str) -> pd.DataFrame:
+        """A table in the unit of the trial lists; the names of its columns then say so."""
+        written, column = self.magnitude.written, self.magnitude.column
+        converted = table.assign(**{name: written(table[name]) for name in stimuli})
+        return converted.rename(columns={name: column(name) for name in stimuli})

@@ -20,7 +20,7 @@ from scipy import stats
 from .. import __version__, cues, receptors
 from .._util import checks
 from .._util.refusals import Refusal
-from .._util.values import Array, counted, paragraphs
+from .._util.values import Array, counted, paragraphs, plain_number
 from ..behaviour import encodings
 from ..behaviour.priors import Priors
 from ..inference.observer import Observer
@@ -28,14 +28,18 @@ from ..mechanics.model_choice import Chosen
 from ..whisker import Whisker
 from .goals import Evidence, Goal, Precision
 from .hypotheses import ONE_STIMULUS, Hypothesis, SubjectPopulation
+from .magnitude import Magnitude
 from .plan import Plan
+from .rivals import FlooredNoise, PowerNoise
 from .scheme import Constraints, Scheme
+from .session import KEYS, PLACES
 
 if TYPE_CHECKING:
     from cattrs import Converter
 
 __all__ = [
-    "assumptions", "offsets_in_words", "plan_json", "plan_of", "preregistration", "read_plan",
+    "assumptions", "columns_in_words", "offsets_in_words", "plan_json", "plan_of",
+    "preregistration", "read_plan",
 ]  # fmt: skip
 
 #: What may stand where a field is annotated with a protocol.
@@ -47,7 +51,7 @@ CHOICES: dict[type, tuple[type, ...]] = {
     encodings.Encoding: (
         encodings.CueEncoding, encodings.PooledEncoding,
         encodings.IdentityEncoding, encodings.LogEncoding, encodings.LogAxisEncoding,
-        encodings.ConstantNoise,
+        encodings.ConstantNoise, PowerNoise, FlooredNoise,
     ),
     receptors.ReceptorNoise: (receptors.Weber, receptors.GeneralisedWeber, receptors.Joint),
     Goal: (Evidence, Precision),
@@ -55,7 +59,7 @@ CHOICES: dict[type, tuple[type, ...]] = {
 CLASSES: dict[str, type] = {
     kind.__name__: kind
     for kind in chain(
-        (Whisker, Observer, Priors, Hypothesis, Scheme, Constraints),
+        (Whisker, Observer, Priors, Hypothesis, Scheme, Constraints, Magnitude),
         (SubjectPopulation, Plan),
         *CHOICES.values(),
     )
@@ -63,7 +67,9 @@ CLASSES: dict[str, type] = {
 #: Fields that are not kept: an observer's prior and tolerance, which must be the default ones, and
 #: what is written elsewhere or worked out again.
 SKIPPED = {"prior", "tolerance", "_filled", "power"}
-FORMAT, VERSION = "weberwhisk plan", 2
+FORMAT, VERSION = "weberwhisk plan", 3
+#: Fields that a plan of version 2 lacks: it was of animals, and of radial distances.
+SINCE_3 = {"magnitude", "subject"}
 AGAIN = "write the plan again with `weberwhisk design`"
 
 
@@ -156,7 +162,7 @@ def _reader() -> Converter:
         if made is None or made not in CHOICES.get(kind, (kind,)):
             raise Refusal(f"{checks.shown(value)} is no {kind.__name__}")
         fields = {name: part for name, part in value.items() if name != "is"}
-        for strange in fields.keys() ^ set(_kept(made)):
+        for strange in (fields.keys() ^ set(_kept(made))) - (SINCE_3 - fields.keys()):
             words = "has nothing called" if strange in fields else "lacks"
             raise Refusal(f"{made.__name__} {words} {strange!r}")
         types = get_type_hints(made, localns=CLASSES)
@@ -272,10 +278,10 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     made_with = "unknown"
     if isinstance(versions, dict):
         made_with = ", ".join(f"{name} {value}" for name, value in versions.items())
-    if version != VERSION:
+    if version not in (2, VERSION):
         raise Refusal(
             f"{source} has version {version!r} of the plan's format, and this weberwhisk "
-            f"({__version__}) reads version {VERSION}",
+            f"({__version__}) reads versions 2 and {VERSION}",
             remedy=f"{AGAIN}, or use the version that made it ({made_with})",
         )
     try:
@@ -325,12 +331,16 @@ def _table(columns: Any) -> pd.DataFrame | None:
 def assumptions(plan: Plan) -> list[str]:
     """What the expected numbers hang on, a sentence each."""
     animals, first = plan.animals, plan.hypotheses[0]
+    unmeasured = " None has been measured for whisker force or moment."
     return [
-        f"Weber fraction of the animals: median {animals.weber_fraction:g}, ln k with an sd of "
-        f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
+        f"Weber fraction of the {animals.subjects}: median {animals.weber_fraction:g}, ln k with "
+        f"an sd of {animals.spread:g} between {animals.subjects}."
+        + unmeasured
+        * plan.magnitude.is_distance,
         f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
-        f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
-        f"Distance is encoded through {encodings.described(first.encoding)}.",
+        f"{animals.bias_spread:g} between {animals.subjects}, in sds of the difference of the two "
+        "signals.",
+        f"{_capital(plan.magnitude.encoded(first.encoding))}.",
         *notes_of(plan.hypotheses),
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
         "stimuli are encoded alike.",
@@ -344,12 +354,35 @@ def notes_of(hypotheses: Sequence[Hypothesis]) -> list[str]:
     return [words + "." for words in dict.fromkeys(said) if words]
 
 
-def offsets_in_words(offsets: Sequence[float]) -> str:
-    """Offsets in millimetres, those that come with either sign once."""
-    millimetres = [float(f"{1e3 * o:.4g}") for o in offsets]
-    if sorted(millimetres) == sorted(-o for o in millimetres):
-        return ", ".join(f"±{o:.4g}" for o in sorted(millimetres) if o > 0)
-    return ", ".join(f"{o:+.4g}" for o in millimetres)
+def offsets_in_words(offsets: Sequence[float], magnitude: Magnitude) -> str:
+    """Offsets in the magnitude's unit, those that come with either sign once."""
+    shown = [float(f"{magnitude.per_unit * o:.4g}") for o in offsets]
+    if sorted(shown) == sorted(-o for o in shown):
+        return ", ".join(f"±{plain_number(o)}" for o in sorted(shown) if o > 0)
+    return ", ".join(f"{'+' * (o > 0)}{plain_number(o)}" for o in shown)
+
+
+def _capital(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+def columns_in_words(plan: Plan) -> str:
+    """What the columns of the trial lists hold: which stimulus is first, or left."""
+    task, of = plan.hypotheses[0].task, plan.magnitude
+    first, second = of.column("stimulus_1"), of.column("stimulus_2")
+    if task in ONE_STIMULUS:
+        no, yes = KEYS[task]
+        return (
+            f"In the lists {second} is the stimulus that is put and {first} the standard held in "
+            f"mind; greater is 2 where the right answer is {plan.hypotheses[0].asked.answer}, and "
+            f"1 else (correct_answer: {yes} and {no})."
+        )
+    before, after = PLACES[task]
+    return (
+        f"In the lists {first} is the {before} stimulus and {second} the {after} one, standard_is "
+        f"says which of them is the standard, and greater is 1 where the {before} one is the "
+        f"{of.greater}, 2 where the {after} one is."
+    )
 
 
 def preregistration(plan: Plan) -> str:
@@ -359,12 +392,10 @@ def preregistration(plan: Plan) -> str:
     """
     scheme, goal, given, animals = plan.scheme, plan.goal, plan.hypotheses, plan.animals
     task, number = given[0].task, plan.scheme.animals
-    encoded = "; ".join(
-        f"({i}) {h.name}: distance is encoded through {encodings.described(h.encoding)}"
-        for i, h in enumerate(given, 1)
-    )
+    of = plan.magnitude
+    encoded = "; ".join(f"({i}) {h.name}: {of.encoded(h.encoding)}" for i, h in enumerate(given, 1))
     levels = "; ".join(
-        f"{1e3 * s:.5g} mm against {', '.join(f'{1e3 * c:.5g}' for c in row)} mm"
+        f"{of.said(s, 5)} against {of.listed(row, 5)}"
         for s, row in zip(scheme.standards, scheme.comparisons, strict=True)
     )
     counts = sorted({n for row in scheme.trials for n in row})
@@ -373,41 +404,48 @@ def preregistration(plan: Plan) -> str:
     if len(given) == 1:
         opening = "How large is the Weber fraction k of this observer"
     question, unit, order = (
-        "which of two radial distances is the farther",
+        of.question,
         "pair",
-        "The standard is the first (left) stimulus in half of the trials of every pair, so that "
-        "either answer is right equally often; within a session the right answer repeats as often "
-        f"as it changes, and not more than {plan.longest_run} times running. ",
+        f"The standard is the {PLACES.get(task, PLACES['2AFC'])[0]} stimulus in half of the trials "
+        "of every pair, so that either answer is right equally often; within a session the right "
+        "answer repeats as often as it changes, and not more than "
+        f"{plan.longest_run} times running. ",
     )
     if task in ONE_STIMULUS:
-        question = "whether a radial distance is farther than the standard held in mind"
+        question = of.one_question
         unit, order = "level", ""
     size = f"The aim is {goal}. " + ("" if plan.power is None else f"{plan.power_in_words()} ")
-    fitted = {h.name: _as_fitted(h, plan.together) for h in given}
+    fitted = {h.name: _as_fitted(h, plan) for h in given}
     analysis = " ".join(f"{name}: {text}" for name, text in fitted.items())
     if len({*fitted.values()}) == 1:
         analysis = fitted[given[0].name]
-    over = "" if plan.together or number == 1 else ", multiplied over animals"
+    over = "" if plan.together or number == 1 else f", multiplied over {animals.subjects}"
     sections = {
         "Question and hypotheses": f"{opening}? {encoded}. Each compares two noisy signals, whose "
         "sds go with k.",
         "Design": f"Task: {task}, {question}. Method of constant stimuli. Standards and "
-        f"comparisons: {levels}. Every pair is shown {times} times to each animal: "
-        f"{counted(number, 'animal')}, {scheme.n_trials} trials each, in "
+        f"comparisons: {levels}. Every pair is shown {times} times to each {animals.subject}: "
+        f"{animals.counted(number)}, {scheme.n_trials} trials each, in "
         f"{counted(plan.sessions, 'session')} of at most {plan.trials_per_session}.",
         "Order of trials": f"Trials are randomised within blocks that hold every {unit} equally "
         f"often (within one). {order}Lists are drawn beforehand from seed {plan.seed}, a "
-        "different one for each animal and session.",
-        "Sample size": f"{size}It assumes animals with a median Weber fraction of "
+        f"different one for each {animals.subject} and session. {columns_in_words(plan)}",
+        "Sample size": f"{size}It assumes {animals.subjects} with a median Weber fraction of "
         f"{animals.weber_fraction:g} (sd of ln k {animals.spread:g}) and lapses of "
-        f"{100 * animals.lapse:g} % a side. Each animal is run to the end of its lists, and no "
+        f"{100 * animals.lapse:g} % a side. Each {animals.subject} is run to the end of its "
+        "lists, and no "
         "data are looked at to decide when to stop.",
         "Analysis": f"{analysis} The Weber fraction is reported as the posterior median with its "
         "equal-tailed 95 % interval.",
         "Inference": goal.inference(over),
-        "Exclusion": "No trials are left out but those without an answer. An animal whose fit has "
-        "the status REVERSED or ONE_SIDED is reported and left out of the conclusion. [Criteria of "
-        "training and health.]",
+        "Exclusion": "No trials are left out but those without an answer. "
+        f"{_capital(_a(animals.subject))} whose fit has the status REVERSED or ONE_SIDED is "
+        "reported and left out of the conclusion. "
+        + (
+            "[Criteria of training and health.]"
+            if animals.subject == "animal"
+            else "[Criteria of inclusion.]"
+        ),
         "Files": f"weberwhisk {__version__}; plan.json makes these lists again (SHA-256 "
         f"{plan.fingerprint[:16]}…), and `weberwhisk rehearse plan.json` simulates the whole.",
     }
@@ -415,22 +453,30 @@ def preregistration(plan: Plan) -> str:
     return f"{plan.title}\n\n{text}"
 
 
-def _as_fitted(h: Hypothesis, together: bool) -> str:
+def _a(thing: str) -> str:
+    return f"{'an' if thing[0] in 'aeiou' else 'a'} {thing}"
+
+
+def _as_fitted(h: Hypothesis, plan: Plan) -> str:
     # A fit by itself shares one bias between the standards; one that differs would pass for a
     # difference between JND curves, so hypotheses leave it free, and the call says so.
     options = [f'bias="{h.bias}"', *([f'noise="{h.noise}"'] if h.noise != "weber" else [])]
     call = f"with {', '.join(options)}; on the command line --bias '{h.bias}'"
     fitted = (
-        f"All animals are fitted together (weberwhisk.fit_population {call}), which learns how "
-        "their Weber fractions spread"
-        if together
-        else f"Each animal is fitted by itself by quadrature (weberwhisk.fit_weber {call})"
+        f"All {plan.animals.subjects} are fitted together (weberwhisk.fit_population {call}), "
+        "which learns how their Weber fractions spread"
+        if plan.together
+        else f"Each {plan.animals.subject} is fitted by itself by quadrature "
+        f"(weberwhisk.fit_weber {call})"
     )
     noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
     noise = "of all stimuli alike" if isinstance(h.encoding, encodings.ConstantNoise) else noise
+    if isinstance(h.encoding, PowerNoise | FlooredNoise):
+        noise = f"of {h.encoding.noise_in_words}"
     bias = {"none": "no response bias", "shared": "one response bias b",
             "per standard": "a response bias b for each standard"}[h.bias]  # fmt: skip
-    chance = "P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b)"
+    greater = plan.magnitude.greater
+    chance = f"P(second {greater}) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b)"
     if h.task in ONE_STIMULUS:  # b is the criterion c there, and I1 the standard's signal
         chance = f"P({h.asked.answer}) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1 − c σ1)/σ2)"
         bias = bias.replace("response bias", "criterion").replace(" b", " c")

@@ -203,6 +203,7 @@ def smallest(
     vary: str = "trials",
     most: int | None = None,
     runs: int = 512,
+    even: bool = False,
     seed: int = 1,
     **options: Any,
 ) -> tuple[Scheme, Power]:
@@ -224,6 +225,9 @@ def smallest(
         Experiments of each size and truth visited, and twice as many of the size found. With
         several animals 96 are enough where the power is clearly above or below the goal's share
         (99 %), and at most so many as have 8192 animals together, though never below 96.
+    even : bool
+        Take the next even number, so that every pair comes in both orders equally often; the power
+        is that of this number.
     seed : int
     **options
         As for `power`.
@@ -298,8 +302,11 @@ def smallest(
         while high - low > max(1, 0.05 * high):
             middle = (low + high) // 2
             low, high = (low, middle) if reached(middle) else (middle, high)
-        scheme = sized(scheme, vary, high)
+        scheme = sized(scheme, vary, high + high % 2 * even)
         last = 2 * runs if scheme.animals == 1 else enough(scheme.animals)
+        if even:
+            visited.pop(high)  # one size and one number
+            high += high % 2
         visited[high] = visit(scheme, last, 0)
         return scheme, _joined(list(visited.values()))
 

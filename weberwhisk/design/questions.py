@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +14,19 @@ from numpy.typing import ArrayLike
 from .._util import checks
 from .._util.refusals import Refusal, argument
 from .._util.values import Array
-from ..behaviour.encodings import CueEncoding, Encoding
+from ..behaviour.encodings import CueEncoding, Encoding, refuse_out_of_reach
+from ..behaviour.psychometric import difference_sd
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
 from ..whisker import Whisker
 from .goals import Evidence, Goal, Precision
-from .hypotheses import Hypothesis, SubjectPopulation, noises, taper
+from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, noises, taper
+from .magnitude import DISTANCE, Magnitude, magnitude_named, magnitude_of
 from .plan import Plan
 from .power_analysis import power, smallest
-from .scheme import LEVELS, Constraints, Scheme, sized
+from .rivals import rivals
+from .scheme import LEVELS, Constraints, Scheme
 from .scheme_search import best_scheme
 
 __all__ = ["plan_experiment"]
@@ -32,7 +37,9 @@ QUESTIONS = ("whiskers", "weber-law", "precision")
 def plan_experiment(
     whisker: Whisker | str = "C2",
     *,
+    magnitude: Magnitude | str | None = None,
     question: str | None = None,
+    rival: str | None = None,
     goal: Goal | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
     cue: Cue | None = None,
@@ -44,29 +51,36 @@ def plan_experiment(
     best: bool = False,
     trials: int | None = None,
     animals: int = 1,
+    people: int | None = None,
     find: str | None = None,
     expected: SubjectPopulation | None = None,
     constraints: Constraints | None = None,
     trials_per_session: int = 300,
     longest_run: int = 5,
     together: bool | None = None,
-    title: str = "Discrimination of radial distance",
+    title: str = "",
     runs: int = 512,
     seed: int = 1,
     workers: int = 1,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Plan:
-    """Plan an experiment on the discrimination of radial distance.
+    """Plan an experiment on the discrimination of radial distance, or of any magnitude.
 
     Parameters
     ----------
     whisker : Whisker or str
         The whisker, or its identity.
+    magnitude : Magnitude or str, optional
+        What is compared, where it is no distance along a whisker: "duration", say. Standards are
+        in its unit then, and there is no whisker.
     question : {"whiskers", "weber-law", "precision"}, optional
         What the experiment is to find: whether distance is sensed through the tapered whisker or a
         cylinder, whether noise grows with the signal (Weber's law) or is constant, or k to a
-        precision. By default what the goal is about: "precision" for an interval, else "whiskers".
+        precision. By default what the goal is about: "precision" for an interval, else "whiskers",
+        or of another magnitude "weber-law".
+    rival : str, optional
+        Of Weber's law: "constant" noise by default, "exponent:0.5" or "floor:20" (see `rivals`).
     goal : Goal, optional
         By default a Bayes factor above 10, or for a precision a 95 % interval of k within ±20 %, in
         80 % of experiments.
@@ -75,11 +89,12 @@ def plan_experiment(
     cue, deflection_angle : Cue and float, optional
         How distance is encoded, by default a light tap; the question "whiskers" has its own cue.
     task : str, optional
-        Of hypotheses that are not given: "2AFC" by default, or "go/no-go", say, at a single pole.
+        Of hypotheses that are not given: "2AFC" by default, "2IFC" of another magnitude, or
+        "go/no-go", say, at a single pole.
     scheme : Scheme, optional
         Levels, trials and animals, where these are decided.
     standards : array_like, optional
-        m; 0.3, 0.6 and 0.9 of the whisker's length by default.
+        m; 0.3, 0.6 and 0.9 of the whisker's length by default. Of another magnitude, in its unit.
     levels : array_like
         Comparisons of every standard, in sds of the expected animal's difference (see
         `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest inform of lapses.
@@ -89,13 +104,15 @@ def plan_experiment(
     trials : int, optional
         Of every comparison, for each animal; by default as few as reach the goal, an even number.
     animals : int
+    people : int, optional
+        In place of `animals`.
     find : {"trials", "animals", "nothing"}, optional
         What is made as small as the goal allows: by default the trials where they are not given,
         and nothing where they are. For "animals" the search starts at `animals`.
     expected : SubjectPopulation, optional
         What the animals are expected to be like.
     constraints : Constraints, optional
-        What rig and animal allow; pole steps of 10 µm by default.
+        What rig and animal allow; pole steps of 10 µm by default, or what the magnitude allows.
     trials_per_session, longest_run, title
         See `Plan`.
     together : bool, optional
@@ -122,12 +139,21 @@ def plan_experiment(
     >>> plan_experiment("C2", standards=[10e-3, 30e-3], runs=32).goal.bayes_factor
     10.0
     """
+    of = _magnitude(magnitude, hypotheses, scheme)
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     if question is not None:
         checks.one_of("question", question, QUESTIONS)
     usual = Precision(0.2) if question == "precision" else Evidence(10.0)
-    aim, likely = goal or usual, expected or SubjectPopulation()
-    limits = constraints or Constraints(step=10e-6)
+    called = "animal" if of.is_distance else "subject"
+    aim, likely = goal or usual, expected or SubjectPopulation(subject=called)
+    if people is not None:
+        if animals != 1:
+            raise Refusal("Those who answer are animals or people", "both", "leave one out")
+        animals = people
+        likely = replace(likely, subject="person") if expected is None else likely
+    limits = constraints or Constraints(
+        of.least / of.per_unit, of.greatest / of.per_unit, of.step / of.per_unit
+    )
     for name, value, kind in (
         ("goal", aim, Goal), ("expected", likely, SubjectPopulation),
         ("constraints", limits, Constraints),
@@ -146,7 +172,13 @@ def plan_experiment(
             f"{scheme.animals} and " + argument("animals", animals),
             f"write scheme.with_animals({animals})",
         )
-    topic = question or aim.questions[0]
+    topic = question or next(q for q in aim.questions if of.is_distance or q != "whiskers")
+    if topic == "whiskers" and not of.is_distance:
+        raise Refusal(
+            f"The question 'whiskers' is about radial distances, and this is about {of.plural}",
+            remedy="write " + argument("question", "weber-law") + " or "
+            + argument("question", "precision"),
+        )  # fmt: skip
     if topic not in aim.questions:
         raise Refusal(
             f"The question {topic!r} is not answered by {aim}",
@@ -155,8 +187,16 @@ def plan_experiment(
                 "ww.design.Evidence(bayes_factor=10) for the others"
             ),
         )
-    if hypotheses is None:
-        given = _hypotheses(shape, topic, cue, deflection_angle, task, standards)
+    if rival is not None and (topic != "weber-law" or hypotheses is not None):
+        raise Refusal(
+            "A rival is of Weber's law", repr(rival), "write " + argument("question", "weber-law")
+        )
+    k = likely.weber_fraction
+    if hypotheses is None and not of.is_distance:
+        at = standards if scheme is None else scheme.standards
+        given = _of_magnitude(of, topic, (cue, deflection_angle), task, at, best, rival, k)
+    elif hypotheses is None:
+        given = _hypotheses(shape, topic, cue, deflection_angle, task, standards, rival, k)
     elif (question, cue, deflection_angle, task) == (None, None, None, None):
         given = hypotheses
     else:
@@ -166,6 +206,9 @@ def plan_experiment(
             "leave one out",
         )
     to_vary = _what_to_find(find, trials is not None or scheme is not None)
+    if constraints is None and not of.step and scheme is None and standards is not None:
+        step = _round_step(given[0].encoding, standards, likely.weber_fraction)
+        limits = replace(limits, step=step)
     settings: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
         if scheme is not None or standards is not None:
@@ -173,7 +216,7 @@ def plan_experiment(
                 argument("best", True) + " chooses the standards",
                 remedy="leave scheme and standards out",
             )
-        scheme = best_scheme(given, **settings, expected=likely, animals=animals)
+        scheme = best_scheme(given, **settings, expected=likely, animals=animals, magnitude=of)
         scheme = scheme if trials is None else scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
@@ -181,6 +224,7 @@ def plan_experiment(
         scheme = Scheme.spaced(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
+            magnitude=of,
         )  # fmt: skip
     settings |= {
         "hypotheses": given, "animals": likely, "trials_per_session": trials_per_session,
@@ -194,10 +238,9 @@ def plan_experiment(
     }  # fmt: skip
     table: pd.DataFrame | None = None
     if to_vary != "nothing":
-        scheme, simulated = smallest(scheme, given, vary=to_vary, **options)
-        most, table = max(map(max, scheme.trials)), simulated.table
-        if to_vary == "trials":  # even numbers let every pair come in both orders equally often
-            scheme = sized(scheme, to_vary, most + most % 2)
+        even = to_vary == "trials"
+        scheme, simulated = smallest(scheme, given, vary=to_vary, even=even, **options)
+        table = simulated.table
     elif runs:
         most = max(map(max, scheme.trials))
         sizes = sorted({max(most // 2, 1), most, 2 * most})
@@ -208,9 +251,61 @@ def plan_experiment(
     return Plan(scheme, **settings, together=together, power=table)
 
 
+def _round_step(encoding: Encoding, standards: ArrayLike, weber_fraction: float) -> float:
+    """A power of ten of some per cent of the smallest sd: numbers that can be set and read."""
+    at = np.atleast_1d(checks.finite("standards", standards, "give one, or several"))
+    refuse_out_of_reach(encoding, at, "standard")
+    smallest = weber_fraction * float(np.min(difference_sd(encoding, at)))
+    return float(f"1e{math.floor(math.log10(0.03 * smallest))}")
+
+
 def _spread_out(encoding: Encoding) -> Array:
     """Standards over the range that can be encoded."""
     return np.array([0.3, 0.6, 0.9]) * encoding.domain[1]
+
+
+def _magnitude(
+    magnitude: Magnitude | str | None,
+    hypotheses: Sequence[Hypothesis] | None,
+    scheme: Scheme | None,
+) -> Magnitude:
+    """What is compared: as said, or of the scheme, or what the hypotheses are of."""
+    if isinstance(magnitude, str):
+        magnitude = magnitude_named(magnitude)
+    if magnitude is not None:
+        checks.kind("magnitude", magnitude, "a Magnitude", "per_unit", 'write "duration", say')
+        return magnitude
+    if scheme is not None:
+        return scheme.magnitude
+    return DISTANCE if hypotheses is None else magnitude_of(check_distinct(hypotheses)[0].encoding)
+
+
+def _of_magnitude(
+    of: Magnitude,
+    question: str,
+    whisker_options: tuple[Any, ...],
+    task: str | None,
+    at: ArrayLike | None,
+    best: bool,
+    rival: str | None,
+    weber_fraction: float,
+) -> Sequence[Hypothesis]:
+    """Hypotheses on a magnitude that is its own signal."""
+    if any(option is not None for option in whisker_options):
+        raise Refusal(
+            f"cue and deflection_angle are of whiskers, and this is about {of.plural}",
+            "one of them", "leave it out",
+        )  # fmt: skip
+    if at is None and not (best and question == "precision"):
+        raise Refusal(
+            f"The {of.plural} that are compared with are needed", "none",
+            "write " + argument("standards", [300.0, 600.0, 1200.0]) + ", say",
+        )  # fmt: skip
+    task = task or "2IFC"
+    if question == "weber-law":
+        named = rival or "constant"
+        return rivals(of.encoding, at, named, weber_fraction=weber_fraction, task=task)
+    return [Hypothesis("Weber's law", of.encoding, task=task)]
 
 
 def _what_to_find(find: str | None, decided: bool) -> str:
@@ -240,6 +335,8 @@ def _hypotheses(
     deflection_angle: float | None,
     task: str | None,
     standards: ArrayLike | None,
+    rival: str | None,
+    weber_fraction: float,
 ) -> Sequence[Hypothesis]:
     task = task or "2AFC"
     if question == "whiskers":
@@ -259,5 +356,7 @@ def _hypotheses(
     encoding = CueEncoding(Observer(whisker, cue or Compliance()), deflection_angle)
     if question == "weber-law":
         at = _spread_out(encoding) if standards is None else standards
+        if rival is not None:
+            return rivals(encoding, at, rival, weber_fraction=weber_fraction, task=task)
         return noises(encoding, at, task=task)
     return [Hypothesis("expected observer", encoding, task=task)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,13 @@ from ..behaviour.encodings import (
     Encoding,
     checked_encoding,
     gives_signal,
-    in_words,
     refuse_out_of_reach,
 )
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
+from .magnitude import DISTANCE, Magnitude, magnitude_of
 
-__all__ = ["Constraints", "Scheme", "lattice", "millimetres", "sized"]
+__all__ = ["Constraints", "Scheme", "lattice", "sized"]
 
 #: Trials of one experiment at most: what is listed must fit the memory.
 MOST_TRIALS = 10_000_000
@@ -40,12 +39,15 @@ class Scheme(Fields):
     Parameters
     ----------
     standards : sequence of float, length S
-        Stimulus 1: radial distances in m (or whatever unit the encoding has).
+        Stimulus 1: radial distances in m, or stimuli in the unit of another `magnitude`.
     offsets : sequence of float, or of S sequences
         Comparison − standard, signed, in the same unit; one row for all standards or one each.
     trials : int, or sequences of int like `offsets`
         Trials of each comparison, for each animal.
     animals : int
+        Or people.
+    magnitude : Magnitude
+        What the stimuli are.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Scheme(Fields):
     offsets: tuple[tuple[float, ...], ...]
     trials: tuple[tuple[int, ...], ...]
     animals: int = 1
+    magnitude: Magnitude = DISTANCE
 
     def __init__(
         self,
@@ -70,7 +73,10 @@ class Scheme(Fields):
         offsets: Sequence[Any],
         trials: int | Sequence[Any] = 20,
         animals: int = 1,
+        magnitude: Magnitude = DISTANCE,
     ) -> None:
+        hint = 'write ww.design.Magnitude("weight", "g"), say'
+        checks.kind("magnitude", magnitude, "a Magnitude", "per_unit", hint)
         at = _standards(standards)
         if np.unique(at).size < at.size:
             raise Refusal(f"a standard was given twice, in {at.tolist()}", remedy="give each once")
@@ -100,6 +106,7 @@ class Scheme(Fields):
         set_(self, "offsets", tuple(tuple(float(o) for o in offset_lists[i]) for i in order))
         set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
         set_(self, "animals", int(animals))
+        set_(self, "magnitude", magnitude)
         if self.total_trials > MOST_TRIALS:
             raise Refusal(
                 f"an experiment may have up to {MOST_TRIALS} trials",
@@ -118,6 +125,7 @@ class Scheme(Fields):
         trials: int = 20,
         animals: int = 1,
         step: float = 0.0,
+        magnitude: Magnitude | None = None,
     ) -> Scheme:
         """A scheme whose offsets are in sds of the expected animal at each standard.
 
@@ -134,6 +142,8 @@ class Scheme(Fields):
             As for `Scheme`.
         step : float
             Standards and comparisons are rounded to its multiples; 0 leaves them.
+        magnitude : Magnitude, optional
+            What the stimuli are, by default what the encoding is of.
 
         Examples
         --------
@@ -156,13 +166,13 @@ class Scheme(Fields):
         offsets = [np.unique([float(f"{o:.12g}") for o in row]) for row in offsets]
         for s, one, row in zip(at, sd, offsets, strict=True):
             if row.size < np.size(z):
-                said = partial(in_words, encoding)
+                said = (magnitude or magnitude_of(encoding)).said
                 raise Refusal(
                     f"steps of {said(step)} are too coarse at standard {said(s)}: {np.size(z)} "
                     f"levels fall on {row.size}, as one sd is {said(one)}",
                     remedy="take finer steps, fewer levels or another standard",
                 )
-        return cls(at, offsets, trials, animals)
+        return cls(at, offsets, trials, animals, magnitude or magnitude_of(encoding))
 
     @property
     def n_trials(self) -> int:
@@ -191,16 +201,16 @@ class Scheme(Fields):
         return Cells(standard, comparison, standard, n, np.zeros(n.size))
 
     def table(self) -> pd.DataFrame:
-        """One row a level: `standard_mm`, `offset_mm`, `comparison_mm`, `trials`."""
-        cells = self.cells()
+        """One row a level: `standard`, `offset` and `comparison`, with their unit, and `trials`."""
+        cells, of = self.cells(), self.magnitude
         shown = cells.standard, np.concatenate(self.offsets), cells.stimulus_2
-        names = "standard_mm", "offset_mm", "comparison_mm"
-        table = pd.DataFrame(dict(zip(names, map(millimetres, shown), strict=True)))
+        names = map(of.column, ("standard", "offset", "comparison"))
+        table = pd.DataFrame(dict(zip(names, map(of.written, shown), strict=True)))
         return table.assign(trials=cells.n.astype(int))
 
     def with_trials(self, trials: int) -> Scheme:
         """The same levels with so many trials each."""
-        return Scheme(self.standards, self.offsets, trials, self.animals)
+        return Scheme(self.standards, self.offsets, trials, self.animals, self.magnitude)
 
     def with_animals(self, animals: int) -> Scheme:
         """The same for so many animals."""
@@ -214,7 +224,7 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     most = max(map(max, scheme.trials))
     checks.whole("trials", size, "write 20")
     counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
-    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
+    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals, scheme.magnitude)
 
 
 @dataclass(frozen=True, repr=False)
@@ -224,9 +234,9 @@ class Constraints(Fields):
     Parameters
     ----------
     nearest, farthest : float
-        Range of distances that the animal can reach, m.
+        The least and the greatest stimulus: distances that the animal can reach, m.
     step : float
-        The pole moves in steps of this size, counted from 0, m; 0 for any position.
+        Stimuli come in steps of this size, counted from 0: those of a pole, m; 0 for any.
 
     Examples
     --------
@@ -239,12 +249,11 @@ class Constraints(Fields):
     step: float = 0.0
 
     def __post_init__(self) -> None:
-        checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
         checks.non_negative_number("step", self.step, "give m, such as 0.1e-3, or 0")
-        if not isinstance(self.farthest, float | int | np.number):
-            raise Refusal(
-                "farthest must be a number", checks.shown(self.farthest), "give m, or inf"
-            )
+        for name in ("nearest", "farthest"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, float | int | np.number):
+                raise Refusal(f"{name} must be a number", checks.shown(value), "give m, or inf")
         if not self.nearest < self.farthest:
             raise Refusal(
                 "farthest must lie beyond nearest",
@@ -253,7 +262,7 @@ class Constraints(Fields):
             )
 
     def positions(self, distance: ArrayLike) -> Array:
-        """Distances moved to the nearest position that the pole has."""
+        """Stimuli moved to the nearest that there is: distances, to a position of the pole."""
         return _snapped(distance, self.step)
 
     def check(self, scheme: Scheme, encoding: Encoding) -> None:
@@ -270,21 +279,21 @@ class Constraints(Fields):
         ValueError
             Naming the constraint, by how much it is missed and where.
         """
-        cells = scheme.cells()
-
-        said = partial(in_words, encoding)
+        cells, said = scheme.cells(), scheme.magnitude.said
+        if scheme.magnitude.is_distance:
+            checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
         ends = f"{said(self.nearest)} to {said(self.farthest)}"
         for name, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
             low, high = float(at.min()), float(at.max())
-            for value, beyond, side, way in (
-                (low, self.nearest - low, "nearer", "out"),
-                (high, high - self.farthest, "farther", "in"),
+            for value, beyond, side in (
+                (low, self.nearest - low, scheme.magnitude.less),
+                (high, high - self.farthest, scheme.magnitude.greater),
             ):
                 if beyond > 0:
                     raise Refusal(
-                        f"{name} {said(value)} is {side} than the animal's range of {ends}, by "
+                        f"{name} {said(value)} is {side} than the range of {ends}, by "
                         f"{said(beyond)}",
-                        remedy=f"move it {way} or widen the range",
+                        remedy="move it or widen the range",
                     )
             off = np.abs(at - self.positions(at))
             if self.step and off.max() > 1e-6 * self.step:
@@ -303,6 +312,7 @@ def lattice(
     constraints: Constraints | None = None,
     *,
     each_side: int = 16,
+    magnitude: Magnitude | None = None,
 ) -> Scheme:
     """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
 
@@ -317,6 +327,8 @@ def lattice(
         What falls outside the range is left out, the rest put on the nearest step.
     each_side : int
         Comparisons on either side, at most.
+    magnitude : Magnitude, optional
+        What the stimuli are, by default what the encoding is of.
 
     Raises
     ------
@@ -334,7 +346,7 @@ def lattice(
     # A range of distances begins at 0; other stimuli, such as logarithms, need not.
     limits = constraints or Constraints(farthest=high)
     nearest = limits.nearest if constraints else -np.inf
-    given = np.atleast_1d(checks.finite("standards", standards, "give one or several"))
+    given = np.atleast_1d(checks.finite("standards", standards, "give one, or several"))
     at = np.unique(limits.positions(given))
     refuse_out_of_reach(encoding, at, "standard")
     ratios = np.geomspace(0.01, 1.2, each_side)
@@ -355,11 +367,11 @@ def lattice(
                 remedy="choose another, or widen the range",
             )
         offsets.append([float(f"{level - s:.12g}") for level in levels])
-    return Scheme(at, offsets)
+    return Scheme(at, offsets, magnitude=magnitude or magnitude_of(encoding))
 
 
 def _standards(standards: ArrayLike) -> Array:
-    at = np.ravel(checks.finite("standards", standards, "give one distance in m, or several"))
+    at = np.ravel(checks.finite("standards", standards, "give one, or several"))
     if not at.size:
         raise Refusal("a design needs standards", "none", "write standards=[15e-3, 30e-3]")
     return at
@@ -381,9 +393,3 @@ def _for_each_standard(name: str, values: Sequence[Any], count: int) -> list[lis
             remedy="give one row for all, or one each",
         )
     return [list(row) for row in given]
-
-
-def millimetres(metres: ArrayLike) -> Array:
-    """Lengths as one would write them, 20.1 and not 20.100000000000001: tables join on them."""
-    given = np.asarray(metres, dtype=float)
-    return np.array([float(f"{v * 1e3:.9g}") for v in given.flat]).reshape(given.shape)

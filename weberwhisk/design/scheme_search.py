@@ -9,6 +9,7 @@ do not scatter: simulated experiments decide between the best scheme and even st
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from .._util.values import Array
 from ..behaviour.psychometric import difference_sd
 from .goals import Goal, goal_for
 from .hypotheses import Hypothesis, SubjectPopulation
+from .magnitude import Magnitude, magnitude_of
 from .scheme import Constraints, Scheme
 from .simulation import compare, simulate
 
@@ -44,6 +46,7 @@ def best_scheme(
     animals: int = 1,
     runs: int = 512,
     seed: int = 1,
+    magnitude: Magnitude | None = None,
 ) -> Scheme:
     """Choose standards and offsets for a number of trials.
 
@@ -66,6 +69,8 @@ def best_scheme(
         Experiments simulated in the end, all truths together.
     seed : int
         Of these.
+    magnitude : Magnitude, optional
+        What the stimuli are, by default what the first encoding is of.
 
     Raises
     ------
@@ -95,6 +100,7 @@ def best_scheme(
         )
     if standards >= PLACES:
         raise Refusal(f"standards must be below {PLACES}", standards, "write 3, say")
+    of = magnitude or magnitude_of(given[0].encoding)
     ends = _range(given, limits)
     tried: dict[Choice, tuple[float, Scheme | Refusal]] = {}
 
@@ -103,6 +109,7 @@ def best_scheme(
         if choice not in tried:
             try:
                 scheme = _scheme(choice, ends, given[0], likely, limits, pairs, each, animals)
+                scheme = replace(scheme, magnitude=of)
                 for h in given:
                     limits.check(scheme, h.encoding)
                 tried[choice] = _expected(scheme, given, aim, likely), scheme
@@ -128,7 +135,7 @@ def best_scheme(
 
 
 def _range(hypotheses: Sequence[Hypothesis], limits: Constraints) -> tuple[float, float]:
-    """The distances that the animal reaches and every hypothesis can encode."""
+    """The stimuli that can be put and every hypothesis can encode."""
     low = max(limits.nearest, max(h.encoding.domain[0] for h in hypotheses))
     high = min(limits.farthest, min(h.encoding.domain[1] for h in hypotheses))
     if not (np.isfinite(high) and low < high):

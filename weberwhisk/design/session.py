@@ -34,8 +34,9 @@ from .._util.output import Log
 from .._util.refusals import Refusal
 from .._util.values import Array, Index, Line
 from ..behaviour.trials import Cells
+from .magnitude import Magnitude
 from .placement import BayesianPlacer, Proposal
-from .scheme import Scheme, millimetres
+from .scheme import Scheme
 
 __all__ = ["Session", "bpod_table", "converse", "psychopy_tables", "sessions_needed", "trial_lists"]
 
@@ -70,9 +71,10 @@ def trial_lists(
     -------
     DataFrame
         One row a trial: `subject` (s1, s2, …), `session`, `block` and `trial` (each from 1, block
-        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard_mm`,
-        `stimulus_1_mm`, `stimulus_2_mm`, `greater` (1 or 2: the stimulus that is the greater, and
-        so the right answer). `weberwhisk fit` reads it once it has a column `choice`.
+        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard`,
+        `stimulus_1`, `stimulus_2`, with their unit (`standard_mm`), `greater` (1 or 2: the stimulus
+        that is the greater, and so the right answer). `weberwhisk fit` reads it once it has a
+        column `choice`.
 
     Raises
     ------
@@ -105,7 +107,9 @@ def trial_lists(
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
         animal_seed = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
         rng = np.random.default_rng(animal_seed)
-        lists[f"s{i + 1}"] = _of_animal(levels, trials_per_session, longest_run, one_stimulus, rng)
+        lists[f"s{i + 1}"] = _of_animal(
+            levels, scheme.magnitude, trials_per_session, longest_run, one_stimulus, rng
+        )
     return pd.concat(lists, names=["subject"]).reset_index(0).reset_index(drop=True)
 
 
@@ -126,8 +130,9 @@ def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
 
 
 def _of_animal(
-    levels: Cells, per_session: int, longest_run: int, one_stimulus: bool, rng: np.random.Generator
-) -> pd.DataFrame:
+    levels: Cells, magnitude: Magnitude, per_session: int, longest_run: int, one_stimulus: bool,
+    rng: np.random.Generator,
+) -> pd.DataFrame:  # fmt: skip
     sessions, blocks = sessions_needed(levels, per_session)
     counts = _dealt(levels.n.astype(np.intp), blocks)
     session_of = _session_of(blocks, sessions)
@@ -149,16 +154,21 @@ def _of_animal(
     start = np.searchsorted(session, session)
     standard, comparison = levels.standard[level], levels.stimulus_2[level]
     comparison_second = (side == 2) == (comparison > standard)
-    standard_mm, comparison_mm = millimetres([levels.standard, levels.stimulus_2])[:, level]
+    shown = magnitude.written([levels.standard, levels.stimulus_2])
+    standard_shown, comparison_shown = shown[:, level]
     return pd.DataFrame(
         {
             "session": session + 1,
             "block": block - block[start] + 1,
             "trial": np.arange(level.size) - start + 1,
             "level": level + 1,
-            "standard_mm": standard_mm,
-            "stimulus_1_mm": np.where(comparison_second, standard_mm, comparison_mm),
-            "stimulus_2_mm": np.where(comparison_second, comparison_mm, standard_mm),
+            magnitude.column("standard"): standard_shown,
+            magnitude.column("stimulus_1"): np.where(
+                comparison_second, standard_shown, comparison_shown
+            ),
+            magnitude.column("stimulus_2"): np.where(
+                comparison_second, comparison_shown, standard_shown
+            ),
             "greater": side,
         }
     )
@@ -256,10 +266,28 @@ def _can_follow(side: int, remaining: list[int], last: int, run: int, longest_ru
     )
 
 
-ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
+#: What a keyboard takes as the answer where the greater stimulus is 1, or 2.
+KEYS = {"yes/no": ("n", "y"), "go/no-go": ("None", "space")}
+ANSWERS = ("left", "right")  # of two stimuli
+#: Where stimulus 1 and stimulus 2 are.
+PLACES = {"2AFC": ("left", "right"), "2IFC": ("first", "second")}
 
 
-def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+def with_places(lists: pd.DataFrame, task: str) -> pd.DataFrame:
+    """The lists as they are written, with `standard_is`: whether the standard is the left or right
+    stimulus, or the first or second, or "in mind" where one alone is put."""
+    standard, first = (
+        next(lists[column] for column in lists if str(column).startswith(name))
+        for name in ("standard", "stimulus_1")
+    )
+    before, after = PLACES.get(task, ("in mind", "in mind"))
+    standard_is = np.where((standard == first).to_numpy(), before, after)
+    out = lists.copy()
+    out.insert(list(lists.columns).index("greater"), "standard_is", standard_is)
+    return out
+
+
+def psychopy_tables(lists: pd.DataFrame, task: str = "2AFC") -> Iterator[tuple[str, pd.DataFrame]]:
     """A conditions file for each session of each animal, with its name.
 
     The names are those that PsychoPy's own participant and session make: `$"psychopy_" +
@@ -269,18 +297,23 @@ def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     routine there.
     """
     table = lists.rename(columns={"trial": "trial_number"})
-    table["correct_answer"] = [ANSWERS[greater - 1] for greater in table["greater"]]
+    keys = KEYS.get(task, ANSWERS)
+    table["correct_answer"] = [keys[greater - 1] for greater in table["greater"]]
     for (subject, session), conditions in table.groupby(["subject", "session"], sort=False):
         yield f"psychopy_{subject}_{session:03d}", conditions
 
 
 def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
-    """All trials in numbers alone, so that MATLAB's `readtable` or `readmatrix` takes them.
+    """All trials in numbers alone, so that MATLAB's `readtable` or `readmatrix` takes them:
+    `standard_is` is 1 where stimulus 1, the first or left, is the standard, and 2 else.
 
     `trial_type` is that of Bpod's examples, 1 where left is right and 2 where right is: `T =
     readtable("bpod.csv"); TrialTypes = T.trial_type(T.subject == 1 & T.session == 3)';`
     """
     table = lists.copy()
+    if "standard_is" in table:
+        second = table.pop("standard_is").isin([after for _, after in PLACES.values()])
+        table["standard_is"] = np.where(second, 2, 1)
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)
     table.insert(4, "trial_type", table.pop("greater"))
     return table

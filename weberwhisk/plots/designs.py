@@ -36,6 +36,7 @@ from .style import (
     mark,
     new_figure,
     open_figure,
+    plain_numbers,
     styled,
 )
 
@@ -120,27 +121,27 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     >>> planned_psychometrics(plan).shape
     (2,)
     """
-    standards = plan.scheme.standards
+    standards, of = plan.scheme.standards, plan.magnitude
     if axes is None:
         width = SINGLE if len(standards) == 1 else DOUBLE
         figure = open_figure(width, 2.0)
         axes = list(figure.subplots(1, len(standards), sharey=True, squeeze=False)[0])
     for ax, standard in zip(axes, standards, strict=True):
-        mm = 1e3 * standard
-        levels = plan.levels[np.isclose(plan.levels["standard_mm"], mm)]
-        expected = (levels[name] for name in ("expected", "lower", "upper"))
-        at = levels["comparison_mm"]
+        shown, name = float(of.written(standard)), of.column("standard")
+        levels = plan.levels[np.isclose(plan.levels[name], shown)]
+        expected = (levels[column] for column in ("expected", "lower", "upper"))
+        at = levels[of.column("comparison")]
         bars(ax, at, expected, 0, color=COLOURS[6], label="expected, 95 % by chance")
         for i, hypothesis in enumerate(plan.hypotheses):
             curve = plan.curves.query("hypothesis == @hypothesis.name")
-            curve = curve[np.isclose(curve["standard_mm"], mm)]
+            curve = curve[np.isclose(curve[name], shown)]
             label = drawable(hypothesis.name)
-            ax.plot(curve["comparison_mm"], curve["median"], **look(i), label=label)
-        ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0, label="standard")
-        ax.set(title=f"standard {mm:.3g} mm", ylim=(-0.03, 1.03))
-        ax.xaxis.set_major_locator(MaxNLocator(4))
-    figure_of(axes).supxlabel("Comparison (mm)")
-    axes[0].set_ylabel("Reported farther")
+            ax.plot(curve[of.column("comparison")], curve["median"], **look(i), label=label)
+        ax.axvline(shown, color="0.8", linewidth=0.8, zorder=0, label="standard")
+        ax.set(title=f"standard {drawable(of.said(standard))}", ylim=(-0.03, 1.03))
+        plain_numbers(ax.xaxis, most=4)
+    figure_of(axes).supxlabel(drawable(of.axis("comparison"), 60))
+    axes[0].set_ylabel(f"Reported {drawable(of.greater)}")
     legend_over(figure_of(axes), axes[:1], 9)
     return np.array(axes, dtype=object)
 
@@ -159,17 +160,22 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     >>> planned_jnds(plan).get_xlabel()
     'Radial distance (mm)'
     """
-    ax = axes_or_new(ax)
+    ax, of = axes_or_new(ax), plan.magnitude
+    names = [of.column(name) for name in ("stimulus", "jnd", "lower", "upper")]
     for i, hypothesis in enumerate(plan.hypotheses):
         curve = plan.jnds.query("hypothesis == @hypothesis.name")
-        at, low, high = (curve[f"{name}_mm"] for name in ("stimulus", "lower", "upper"))
+        at, jnd, low, high = (curve[name] for name in names)
         ax.fill_between(at, low, high, color=COLOURS[i], alpha=0.2)
-        ax.plot(at, curve["jnd_mm"], **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
+        ax.plot(at, jnd, **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
     points = plan.jnds_by_standard
-    jnds = (points[name] for name in ("jnd_mm", "lower_mm", "upper_mm"))
-    bars(ax, points["standard_mm"], jnds, 0, color=COLOURS[6], label="each standard alone, 95 %")
+    jnds = (points[name] for name in names[1:])
+    bars(ax, points[of.column("standard")], jnds, 0, color=COLOURS[6],
+         label="each standard alone, 95 %")  # fmt: skip
     ax.set_ylim(bottom=0)
-    ax.set(xlabel="Radial distance (mm)", ylabel=f"JND (mm), {points['criterion'].iloc[0]}")
+    plain_numbers(ax.xaxis)
+    plain_numbers(ax.yaxis)
+    ax.set_xlabel(drawable(of.axis(), 60))
+    ax.set_ylabel(f"{drawable(of.axis('JND'), 60)}, {points['criterion'].iloc[0]}")
     return legend_above(ax)
 
 
@@ -218,7 +224,9 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
         at = [subjects.index(s) + 0.15 * (i - middle) for s in estimates["subject"]]
         bars(ax, at, ends, i, label=f"{drawable(name)}, 95 %")
     ax.set_xticks(range(len(subjects)), [drawable(str(s)) for s in subjects])
-    ax.set(xlabel="Animal", ylabel="Weber fraction k", xlim=(-0.6, len(subjects) - 0.4))
+    who = "animal" if result.plan is None else result.plan.animals.subject
+    who = f"{who[0].upper()}{who[1:]}"
+    ax.set(xlabel=who, ylabel="Weber fraction k", xlim=(-0.6, len(subjects) - 0.4))
     ax.set_yscale("log")
     return legend_above(ax)
 
@@ -228,13 +236,16 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     """Plot the comparisons of a session in order, and whether they were judged greater."""
     ax = axes_or_new(ax, SINGLE, 2.8)
     trials = placer.trials().frame
-    offset = trials["stimulus_2"] - trials["stimulus_1"]
-    for i, (answer, label) in enumerate(((1.0, "counted answer"), (0.0, "the other"))):
+    asked, of = placer.hypotheses[0].asked, placer.magnitude
+    offset = of.written(trials["stimulus_2"] - trials["stimulus_1"])
+    yes = f"second {of.greater}" if asked.is_difference else asked.answer.strip('"')
+    no = f"first {of.greater}" if asked.is_difference else f"not {yes}"
+    for i, (answer, label) in enumerate(((1.0, yes), (0.0, no))):
         chosen = trials["count"] == answer
         ax.plot(trials["trial"][chosen], offset[chosen], **mark(i, markersize=2.5), label=label)
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set(xlabel="Trial", ylabel="Comparison − standard")
+    ax.set(xlabel="Trial", ylabel=drawable(of.axis("comparison − standard"), 60))
     return legend_above(ax)
 
 
@@ -255,6 +266,7 @@ def plan_page(plan: Plan) -> str:
     """
     from ..design.plan_file import assumptions, preregistration
 
+    who = plan.animals.subject
     title, *paragraphs = preregistration(plan).strip().split("\n\n")
     wide = 100 if len(plan.scheme.standards) > 1 else 50
     halves = [_image(_half(planned_jnds, plan), "Expected JND curves")]
@@ -269,6 +281,8 @@ def plan_page(plan: Plan) -> str:
         assumptions=_each("<li>{}</li>", ((line,) for line in assumptions(plan))),
         psychometrics=_image(psychometrics, "Expected psychometric functions", wide),
         halves="".join(f'<div class="half">{half}</div>' for half in halves),
+        subject=who,
+        a_subject=f"{'an' if who[0] in 'aeiou' else 'a'} {who}",
         preregistration=_each("<p><b>{}.</b> {}</p>", ((h, rest) for h, _, rest in heads)),
     )
 
@@ -281,15 +295,16 @@ def _each(form: str, records: Iterable[tuple[str, ...]]) -> str:
 def _numbers(plan: Plan) -> list[tuple[str, str]]:
     from ..design.plan_file import offsets_in_words
 
-    scheme = plan.scheme
+    scheme, of, who = plan.scheme, plan.magnitude, plan.animals
+    unit = f" {of.unit}" if of.unit else ""
     return [
         ("Goal", str(plan.goal)),
         ("Hypotheses", ", ".join(h.name for h in plan.hypotheses)),
-        ("Animals", f"{scheme.animals}"),
-        ("Trials", f"{scheme.n_trials} an animal, {scheme.total_trials} in all"),
-        ("Sessions", f"{plan.sessions} an animal, of at most {plan.trials_per_session} trials"),
-        ("Standards", ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards) + " mm"),
-        *((f"Offsets at {s * 1e3:.4g} mm", f"{offsets_in_words(row)} mm")
+        (f"{who.subjects[0].upper()}{who.subjects[1:]}", f"{scheme.animals}"),
+        ("Trials", f"{scheme.n_trials} each, {scheme.total_trials} in all"),
+        ("Sessions", f"{plan.sessions} each, of at most {plan.trials_per_session} trials"),
+        ("Standards", of.listed(scheme.standards)),
+        *((f"Offsets at {of.said(s)}", f"{offsets_in_words(row, of)}{unit}")
           for s, row in zip(scheme.standards, scheme.offsets, strict=True)),
     ]  # fmt: skip
 
@@ -358,17 +373,19 @@ def write_plan(
 def fill(run: Run, plan: Plan) -> None:
     """Write the files of a plan in an open run; none if the run has no folder."""
     from ..design.plan_file import plan_json, preregistration
-    from ..design.session import bpod_table, psychopy_tables
+    from ..design.session import bpod_table, psychopy_tables, with_places
 
     if run.out_dir is None:
         return
+    task = plan.hypotheses[0].task
+    lists = with_places(plan.trials, task)
     for name, text in (
         ("plan.json", plan_json(plan)),
         ("plan.html", plan_page(plan)),
         ("preregistration.txt", preregistration(plan)),
-        ("trials.csv", csv_text(plan.trials)),
-        ("bpod.csv", csv_text(bpod_table(plan.trials))),
-        *((f"{name}.csv", csv_text(table)) for name, table in psychopy_tables(plan.trials)),
+        ("trials.csv", csv_text(lists)),
+        ("bpod.csv", csv_text(bpod_table(lists))),
+        *((f"{name}.csv", csv_text(table)) for name, table in psychopy_tables(lists, task)),
     ):
         atomic_write(run.path(name), text)
     run.table("planned_levels", plan.levels)

@@ -15,12 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+from .._util.values import plain_number
 
 __all__ = [
     "COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "SMALL", "axes_or_new", "bars", "drawable",
     "errors", "figure_of", "legend_above", "legend_over", "log_numbers", "look", "mark",
-    "new_figure", "open_figure", "shown", "styled",
+    "new_figure", "open_figure", "plain_numbers", "shown", "styled",
 ]  # fmt: skip
 
 #: Okabe and Ito's colours, dark ones first.
@@ -162,6 +164,18 @@ def log_numbers(*axes: Axis, narrow: bool = False) -> None:
         axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
+
+
+def plain_numbers(axis: Axis, most: int = 5) -> None:
+    """Numbers as people write them, at most so many, and fewer where they are long."""
+    locator, (low, high) = MaxNLocator(most), axis.get_view_interval()
+    for fewer in range(most, 1, -1):
+        locator = MaxNLocator(fewer, min_n_ticks=2)
+        longest = max((len(plain_number(v)) for v in locator.tick_values(low, high)), default=0)
+        if longest * fewer <= 4 * most:
+            break
+    axis.set_major_locator(locator)
+    axis.set_major_formatter(lambda value, _: plain_number(value, 6).replace("-", "−"))
 
 
 def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> Axes:
