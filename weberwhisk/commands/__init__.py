@@ -37,7 +37,8 @@ from .._util.values import Array, pd
 
 __all__ = [
     "CUES", "NO_SHAPE", "SCENES", "SPELLED", "Number", "Shape", "Text", "Texts", "a_number",
-    "a_seed", "as_asked", "as_options", "chosen_trials", "command", "describe", "enough_draws",
+    "a_seed", "as_asked", "as_options", "chosen_trials", "command", "describe",
+    "encoding_options", "enough_draws",
     "finish", "numbers", "one_angle", "option", "pairs", "progress", "show", "the_cue", "the_scene",
     "the_whisker", "values_of", "weber_fractions", "whisker_line",
 ]  # fmt: skip
@@ -289,13 +290,14 @@ def _with_typer(
     name: str, is_argument: bool, kind: Any, words: str, more: Mapping[str, Any] = {}
 ) -> Any:
     options = {"help": words, **more}
+    also = options.pop("also", ())
     if options.pop("argument", is_argument):
         return Annotated[kind, typer.Argument(**options)]
     if kind in (float, Number):
         options = {"parser": a_number, "metavar": "NUMBER", **options}
     elif kind == Texts:
         options = {"metavar": "LIST", **options}
-    return Annotated[kind, typer.Option(option(name), **options)]
+    return Annotated[kind, typer.Option(option(name), *also, **options)]
 
 
 def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
@@ -461,6 +463,21 @@ def describe(whisker: ww.Whisker) -> dict[str, float]:
     }  # fmt: skip
     values |= {"curvature_per_m": whisker.curvature} if whisker.curvature else {}
     return {name: float(f"{value:.12g}") for name, value in values.items()}
+
+
+def encoding_options(encoding: Any) -> str | None:
+    """The options by which `fit` has an encoding: none of a magnitude itself, the whisker and cue
+    of a distance; None where it has not."""
+    kind = type(encoding).__name__
+    if kind in ("IdentityEncoding", "LogEncoding"):
+        return ""
+    observer = getattr(encoding, "observer", None)
+    if kind != "CueEncoding" or type(observer.cue).__name__ != "Compliance":
+        return None
+    if observer.cue.tap_angle:
+        return None
+    said = (f" {option(name)} {value:g}" for name, value in describe(observer.whisker).items())
+    return "".join(said)
 
 
 def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:

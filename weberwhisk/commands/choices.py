@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +19,7 @@ from . import numbers
 
 if TYPE_CHECKING:
     from ..behaviour import CueEncoding
+    from ..design import Hypothesis, Magnitude
 
 __all__ = ["distance_encoding", "fit", "next_trials", "simulate"]
 
@@ -302,6 +304,11 @@ def fit(
                 run.table("engagement", result.engagement)
                 run.figure("engagement", ww.plots.engagement(result))
     lines = [report]
+    if bias is None and result.bias == "shared" and trials.standards.size > 1:
+        lines.append(
+            "One bias was fitted to all standards; `next` and `analyse` have one for each, as has "
+            "--bias 'per standard'."
+        )
     if whisker is not None:
         lines.insert(0, f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
     opt.finish(run, as_json, answer, *lines)
@@ -311,9 +318,13 @@ def _trials(
     file: Path, column: opt.Texts, label: opt.Texts, task: str | None, scale: str,
     log_unit: float | None, encoding: CueEncoding | None, reading: dict[str, Any],
 ) -> ww.Trials:  # fmt: skip
+    from ..design.session import read_log
+
     if not file.is_file():
         raise Refusal(f"{str(file)!r} is not a file", remedy="give the path of a table of trials")
     columns = opt.pairs("--column", column, "choice=response")
+    if not columns and (kept := read_log(file)) is not None:
+        return _of_log(file, *kept, task, scale, log_unit)
     if encoding is not None:
         columns = _with_millimetres(file, columns) | columns
         if scale != "linear":
@@ -327,6 +338,28 @@ def _trials(
         file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit,
         **reading,
     )  # fmt: skip
+
+
+def _of_log(
+    file: Path, table: Any, question: dict[str, Any], task: str | None, scale: str,
+    log_unit: float | None,
+) -> ww.Trials:  # fmt: skip
+    """The trials that `next` kept in its log, in the unit of the command."""
+    asked = task or question.get("task")
+    trials = ww.read_trials(
+        table.assign(session=1), task=asked, scale=scale, log_unit=log_unit, in_order=True
+    )
+    return replace(trials, source=str(file))
+
+
+def _fit_of_log(log: Path | None, hypothesis: Hypothesis, of: Magnitude | None) -> str:
+    """The command that fits what a log keeps as `next` does; none without a log."""
+    encoded = opt.encoding_options(hypothesis.encoding)
+    if log is None or encoded is None:
+        return ""
+    scaled = f" --scale log --log-unit {of.log_unit}" if of is not None and of.is_log else ""
+    bias = "" if hypothesis.bias == "shared" else f" --bias {shlex.quote(hypothesis.bias)}"
+    return f"weberwhisk fit {shlex.quote(str(log))}{bias}{scaled}{encoded}"
 
 
 def _with_millimetres(file: Path, columns: dict[str, str]) -> dict[str, str]:
@@ -417,13 +450,21 @@ def next_trials(
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
-    standard: Annotated[opt.Texts, "Magnitudes compared with."] = None,
+    standard: Annotated[opt.Texts, "Magnitudes compared with.", {"also": ("--standards",)}] = None,
     standard_mm: opt.Texts = None,
+    magnitude: Annotated[
+        opt.Text, "What is compared without a whisker: duration, weight or any other."
+    ] = None,
+    unit: Annotated[opt.Text, "Of a magnitude, such as ms.  [default: by the magnitude]"] = None,
     goal: Annotated[
         str, "What the trials inform of: weber-fraction, or taper (against a cylinder)."
     ] = "weber-fraction",
-    nearest: Annotated[float, "Least stimulus; mm with a whisker."] = 0.0,
-    farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
+    nearest: Annotated[
+        float | None, "Least stimulus; mm with a whisker.  [default: 0]", {"also": ("--least",)}
+    ] = None,
+    farthest: Annotated[
+        float, "Greatest stimulus; mm with a whisker.", {"also": ("--greatest",)}
+    ] = float("inf"),
     step: Annotated[float, "Stimuli come in steps of this size."] = 0.0,
     easy_share: Annotated[float, "Share of easy trials."] = 0.1,
     width_percent: Annotated[opt.Number, "Stop when k's 95 % interval is within ± this."] = None,
@@ -443,25 +484,40 @@ def next_trials(
     inputs = opt.as_asked(locals(), "log") | {"seed": seed}
     from ..behaviour import CueEncoding, IdentityEncoding, task_named
     from ..behaviour.trials import STIMULI
-    from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, lattice
+    from ..design import (
+        BayesianPlacer,
+        Constraints,
+        Hypothesis,
+        Scheme,
+        lattice,
+        magnitude_named,
+    )
     from ..design.session import Session, converse
 
     if farthest == float("inf"):
         inputs["farthest"] = None
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
+    of: Magnitude | None = None
+    if magnitude is not None or unit is not None:
+        if encoding is not None:
+            raise Refusal("A whisker's stimuli are distances", "a magnitude", "leave one out")
+        of = magnitude_named(magnitude or "stimulus", unit)
+    least = of.least if of is not None else 0.0
+    nearest = least if nearest is None else nearest
+    inputs["nearest"] = nearest if nearest > -float("inf") else None
     name = "--standard" if encoding is None else "--standard-mm"
     texts = standard if encoding is None else standard_mm
     if not texts or (standard if encoding is not None else standard_mm):
         raise Refusal(f"{name} says what is compared with", "none", f"write {name} 20, say")
     at = numbers(name, texts)
-    limits = Constraints(nearest, farthest, step)
+    limits = Constraints(nearest, farthest, step or (of.step if of else 0.0))
     checks.one_of("--goal", goal, ("weber-fraction", "taper"))
     bias = bias.replace("-", " ")
     unasked = bias == "per standard" and not task_named(task).has_bias
     how: dict[str, Any] = {"bias": "none" if unasked else bias, "task": task}
-    encoded = encoding or IdentityEncoding()
+    encoded = encoding or (of.encoding if of else IdentityEncoding())
     hypotheses = [Hypothesis("Weber", encoded, **how)]
-    scheme = lattice(encoded, at, limits)
+    scheme = lattice(encoded, at, limits, magnitude=of)
     if goal == "taper":
         if encoding is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
             raise Refusal(
@@ -474,19 +530,22 @@ def next_trials(
         named = {"tapered": encoded, "cylindrical": of_cylinder}
         hypotheses = [Hypothesis(name, of_it, **how) for name, of_it in named.items()]
         offsets = zip(scheme.offsets, lattice(of_cylinder, at, limits).offsets, strict=True)
-        scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in offsets])
+        both = [sorted({*a, *b}) for a, b in offsets]
+        scheme = Scheme(scheme.standards, both, magnitude=scheme.magnitude)
     placer = BayesianPlacer(
         hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
         easy_share=easy_share, width=None if width_percent is None else width_percent / 100,
         most=most, seed=seed,
     )  # fmt: skip
-    unit = "" if encoding is None else "_mm"
+    suffix = "" if encoding is None else "_mm"
+    suffix = of.suffix if of is not None else suffix
+    repeat = _fit_of_log(log, hypotheses[0], of)
     # Another --most continues the same file.
     question = {name: value for name, value in inputs.items() if name != "most"}
     with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
-        for line in converse(session, sys.stdin, unit):
+        for line in converse(session, sys.stdin, suffix, repeat):
             print(line, flush=True)
         table = placer.trials().table()
-        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
+        run.table("trials", table.rename(columns={c: f"{c}{suffix}" for c in STIMULI}))
         if run.out_dir is not None and len(table):
             run.figure("trials", ww.plots.placements(placer))

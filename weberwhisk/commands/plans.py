@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +38,7 @@ def design(
         "level', frequency, number or any other, in your words.",
     ] = None,
     unit: Annotated[opt.Text, "Of a magnitude, such as ms.  [default: by the magnitude]"] = None,
-    standards: Annotated[opt.Texts, "Magnitudes compared with."] = None,
+    standards: Annotated[opt.Texts, "Magnitudes compared with.", {"also": ("--standard",)}] = None,
     least: Annotated[opt.Number, "Least magnitude that can be put.  [default: 0]"] = None,
     greatest: Annotated[opt.Number, "Greatest magnitude that can be put."] = None,
     step: Annotated[opt.Number, "Step of a magnitude.  [default: a round one]"] = None,
@@ -342,7 +343,10 @@ def analyse(
         analysis = plan.analyse(trials, unit=1 / plan.magnitude.per_unit)
         words = analysis.report()
         run.table("analysis", analysis.estimates)
+        table = "analysed_trials.csv"
         if run.out_dir is not None:
+            run.table("analysed_trials", trials.table())
+            table = str(run.out_dir / table)
             atomic_write(run.path("analysis.txt"), words)
             atomic_write(run.path("analysis_methods.txt"), analysis.methods())
             run.figure("analysis", ww.plots.analysed(analysis))
@@ -350,19 +354,51 @@ def analyse(
         "log_evidence": analysis.log_evidence, "favoured": analysis.favoured(),
         "left_out": analysis.left_out, "rows": analysis.estimates.to_dict("records"),
     }  # fmt: skip
-    opt.finish(run, as_json, answer, words.rstrip())
+    answer |= dict(zip(("missing", "not_planned"), analysis.departures, strict=True))
+    answer |= {"as_planned": analysis.is_as_planned}
+    again = _fit_again(plan, trials, table)
+    if again and run.out_dir is None:
+        again.append("  (--out FOLDER writes that table there.)")
+    opt.finish(run, as_json, answer, words.rstrip(), *again)
+
+
+def _fit_again(plan: Plan, trials: ww.Trials, table: str) -> list[str]:
+    """The commands that repeat the Weber fractions, of hypotheses that `fit` has."""
+    subjects = trials.subjects or [None]
+    whose = "" if len(subjects) == 1 else f" --subject {shlex.quote(str(subjects[0]))}"
+    whose = " --together" if plan.together else whose
+    said = []
+    for h in plan.hypotheses:
+        encoded = opt.encoding_options(h.encoding)
+        if encoded is not None:
+            noise = "" if h.noise == "weber" else f" --noise {h.noise}"
+            of_log = f" --scale log --log-unit {plan.magnitude.log_unit}" * plan.magnitude.is_log
+            said.append(
+                f"  {h.name}: weberwhisk fit {shlex.quote(table)}{whose} --task "
+                f"{shlex.quote(h.task)} --bias {shlex.quote(h.bias)}{noise}{of_log}{encoded}"
+            )
+    return ["\nThe same numbers again:", *said] if said else []
 
 
 def rig_trials(files: list[Path], plan: Plan) -> ww.Trials:
     """The trials in the tables of one rig, in their unit; rows without a stimulus are left out."""
     from ..behaviour.trials import STIMULI
+    from ..design.session import read_log
     from ..recordings.tables import load_table
 
     of, task = plan.magnitude, plan.hypotheses[0].task
-    loaded = [load_table(path) for path in files]
-    table = pd.concat(
-        [_with_choice(t.frame, path, plan) for t, path in zip(loaded, files, strict=True)]
-    )
+    notes: list[str] = []
+    tables = []
+    for path in files:
+        if (kept := read_log(path)) is not None:
+            columns = {name: of.column(name) for name in STIMULI}
+            frame = kept[0].rename(columns=columns).assign(subject=path.stem, session=1)
+        else:
+            loaded = load_table(path)
+            frame = loaded.frame
+            notes += [f"{loaded.name}: {note}" for note in loaded.notes]
+        tables.append(_with_choice(frame, path, plan))
+    table = pd.concat(tables)
     named = {name: of.column(name) for name in STIMULI if of.column(name) in table}
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"
@@ -370,8 +406,7 @@ def rig_trials(files: list[Path], plan: Plan) -> ww.Trials:
         table.reset_index(drop=True), columns=named, task=task, scale=of.scale,
         log_unit=of.log_unit,
     )  # fmt: skip
-    of_files = [f"{t.name}: {note}" for t in loaded for note in t.notes]
-    return replace(trials, notes=(*of_files, *trials.notes))
+    return replace(trials, notes=(*notes, *trials.notes))
 
 
 def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:

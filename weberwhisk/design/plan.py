@@ -7,6 +7,7 @@ has the fields, and brings back the same plan with the same trial lists, to the 
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -108,7 +109,9 @@ class AnalysisResult(Shown):
         animals = who.counted(max(len(trials.subjects), 1))
         data = f"{counted(trials.n_trials, 'trial')} with an answer of {animals}"
         if plan is not None:
-            data += f", analysed as planned; {plan.scheme.total_trials} were planned"
+            planned = "analysed as planned" if self.is_as_planned else "analysed by the plan"
+            data += f", {planned}; {plan.scheme.total_trials} were planned"
+        departures = self.departures_in_words()
         sentences = []
         for row, fit in zip(self.estimates.to_dict("records"), self.fits, strict=True):
             k = interval_text(row["weber_fraction"], row["lower"], row["upper"])
@@ -121,7 +124,7 @@ class AnalysisResult(Shown):
         if self.left_out:
             sentences.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
         sections = {
-            "Data": [f"{data}.", *trials.notes],
+            "Data": [f"{data}.", *departures, *trials.notes],
             "Weber fraction": sentences,
             "Conclusion": self._conclusion(),
             "Software": [f"{versions_in_words('numpy', 'scipy')}."],
@@ -129,7 +132,46 @@ class AnalysisResult(Shown):
         title = "" if plan is None else f"{plan.title}\n\n"
         return title + paragraphs({head: said for head, said in sections.items() if said})
 
+    @property
+    def departures(self) -> tuple[int, int]:
+        """Trials of the plan that are missing, and trials that were not planned; (0, 0) of none."""
+        if self.plan is None:
+            return 0, 0
+        of, planned = self.plan.magnitude, self.plan.trials
+        pairs = [planned[of.column(name)] for name in STIMULI[1:]]
+        frame = self.trials.frame
+        given = [of.written(frame[name]) for name in STIMULI[1:]]
+        left = Counter(_rounded_pairs(*pairs))
+        left.subtract(Counter(_rounded_pairs(*given, n=frame["n"])))
+        return sum(n for n in left.values() if n > 0), -sum(n for n in left.values() if n < 0)
+
+    @property
+    def is_as_planned(self) -> bool:
+        """Whether the trials are those of the plan, all of them and no others."""
+        return self.departures == (0, 0)
+
+    def departures_in_words(self) -> list[str]:
+        """How the trials differ from the plan's, in sentences; none where they do not."""
+        missing, more = self.departures
+        said = []
+        if missing:
+            verb = "is" if missing == 1 else "are"
+            said.append(f"{counted(missing, 'planned trial')} {verb} missing.")
+        if more:
+            verb = "was" if more == 1 else "were"
+            said.append(f"{counted(more, 'trial')} {verb} not planned.")
+        return said
+
     def _conclusion(self) -> list[str]:
+        said = self._verdict()
+        if said and not self.is_as_planned:
+            said.append(
+                "This is not the preregistered verdict, which is that of the planned trials: "
+                f"{' and '.join(words[:-1] for words in self.departures_in_words())}."
+            )
+        return said
+
+    def _verdict(self) -> list[str]:
         goal = None if self.plan is None else self.plan.goal
         if len(self.log_evidence) > 1:
             best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
@@ -196,6 +238,13 @@ def analyse(
         trials = replace(trials, frame=frame)
     given = check_distinct(hypotheses)
     return (_pooled if together else _each_animal)(trials, given, check)
+
+
+def _rounded_pairs(first: Any, second: Any, n: Any = 1) -> list[tuple[str, str]]:
+    """Pairs of stimuli as they are written, each so many times."""
+    counts = np.broadcast_to(np.asarray(n, dtype=int), np.shape(first))
+    rows = zip(np.asarray(first), np.asarray(second), counts, strict=True)
+    return [(f"{a:.6g}", f"{b:.6g}") for a, b, times in rows for _ in range(times)]
 
 
 def _each_animal(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:

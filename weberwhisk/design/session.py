@@ -38,7 +38,10 @@ from .magnitude import Magnitude
 from .placement import BayesianPlacer, Proposal
 from .scheme import Scheme
 
-__all__ = ["Session", "bpod_table", "converse", "psychopy_tables", "sessions_needed", "trial_lists"]
+__all__ = [
+    "Session", "bpod_table", "converse", "psychopy_tables", "read_log", "sessions_needed",
+    "trial_lists", "with_places",
+]  # fmt: skip
 
 Counts = Index  # what NumPy counts with: 32 bits in a browser
 
@@ -325,6 +328,29 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
 KIND = "session"
 
 
+def read_log(path: str | os.PathLike[str]) -> tuple[pd.DataFrame, dict[str, Any]] | None:
+    """The trials that a `Session` kept in a file, and its question; None of another file.
+
+    Columns: `trial`, `standard`, `stimulus_1`, `stimulus_2` and `choice`, 1, 0 or NaN.
+    """
+    with open(path, "rb") as file:
+        if not file.read(200).startswith(f'{{"weberwhisk_{KIND}"'.encode()):
+            return None
+        file.seek(0)
+        lines = file.read().splitlines()
+    records = []
+    for line in lines:
+        try:
+            records.append(json.loads(line))
+        except ValueError:  # the last may be half a line
+            break
+    question, *rows = records or [{}]
+    table = pd.DataFrame(rows, columns=["trial", "standard", "comparison", "choice"])
+    table = table.rename(columns={"comparison": "stimulus_2"})
+    table.insert(2, "stimulus_1", table["standard"])
+    return table.assign(choice=table["choice"].astype(float)), question
+
+
 class Session(Line):
     """A placer whose trials are kept in a file, as a context manager.
 
@@ -435,7 +461,9 @@ class Session(Line):
             self._log.sync()
 
 
-def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator[str]:
+def converse(
+    session: Session, lines: Iterable[str], unit: str = "", repeat: str = ""
+) -> Iterator[str]:
     """Trials out, answers in, a line of JSON each.
 
     A trial, ``{"trial": 1, "standard": …, "comparison": …, "easy": false, …}``, after every answer;
@@ -443,7 +471,8 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
     ``{"finished": "…", "trials": …}``. Answers are ``1``, ``0`` or ``null`` (none given), or an
     object with ``choice`` and, where they differ from what was proposed, ``standard`` and
     ``comparison``; with ``trial``, its number, an answer that was sent twice is refused. `unit` is
-    the ending of the names of stimuli, ``"_mm"``.
+    the ending of the names of stimuli, ``"_mm"``; `repeat` the command that fits the same trials,
+    which is said at the end.
     """
     answers = iter(lines)
     while not session.finished:
@@ -466,7 +495,8 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
             break
         else:
             return
-    about = {"finished": session.finished, "trials": session.next().trial - 1}
+    about: dict[str, Any] = {"finished": session.finished, "trials": session.next().trial - 1}
+    about |= {"repeat": repeat} if repeat else {}
     yield json.dumps(about | _estimates(session.placer))
 
 
