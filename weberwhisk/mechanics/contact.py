@@ -205,8 +205,9 @@ def beyond_tip(distance: Array, length: Array | float, fraction: Array) -> Flags
 def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
     """Call `solve` on pieces of flat arrays, (n,) or (1,) for all, and join what it returns."""
     pieces, size = [], 8192  # pieces that fit the cache halve the time of large calls
-    for start in range(0, max(given[0].size, 1), size):
-        piece = slice(start, start + size)
+    last = given[0].size - 1
+    for start in range(0, max(last, 1), size):
+        piece = slice(start, None if start + size >= last else start + size)  # never one alone
         pieces.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
     if len(pieces) == 1:
         return pieces[0]

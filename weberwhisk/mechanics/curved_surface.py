@@ -30,7 +30,7 @@ from . import rod
 from .beam import beams_of, zero_load
 from .branches import Branches, NotFound, extended, walk
 from .contact import Outcome, signals_of
-from .elastica import basis, fit, nodes, place_of, product, unfold
+from .elastica import basis, fit, nodes, place_of, product, summed, unfold
 from .shape import Profile, Spiral, with_modulus
 
 __all__ = ["SIX", "THINNEST", "CurvedSurface", "curved_surface", "more_curved", "pressed"]
@@ -279,17 +279,19 @@ class CurvedSurface:
         for i in range(0, by_r.shape[1], 512):
             part = slice(i, i + 512)
             terms = product(coefficients, poly[:, part]).reshape(along, len(out), -1)
-            np.einsum("xkn,xn->kn", terms, by_r[:, part], out=out[:, part])
+            out[:, part] = summed(terms, by_r[:, part], "xkn,xn->kn")
         return out
 
     def _placed(self, r: Array, given: Sequence[Array]) -> _Places:
         # Grids have many pushes at one distance and azimuth, where most of the work is.
         varied = [a for a in given if a.size > 1]
         (r, *varied), which = distinct(np.asarray(r, dtype=float) / self.length, *varied)
+        if varied and r.size == 1:  # as of many: one alone would be summed in another order
+            r, *varied = (a.repeat(2) for a in (r, *varied))
         each = iter(varied)
         given = [next(each) if a.size > 1 else a for a in given]
         poly = self._polynomials(given)
-        reach = self._reach @ poly
+        reach = product(self._reach[None], poly)[0]
         in_reach = (r > 0) & (r <= reach * (1 + 1e-12))
         share = np.clip(r / reach, 0.0, 1.0)
         room = 1 - self.taper * share
@@ -311,7 +313,7 @@ class CurvedSurface:
         out = np.where(place.in_reach, place.last, np.nan)
         if place.far.any():
             arcs, c = self._arcs_at(place), np.linspace(1.0, 0.0, 25)
-            over = basis(self._across, c).T @ arcs - 1
+            over = product(basis(self._across, c).T, arcs) - 1
             over[0] = np.minimum(over[0], 0.0)
             slips = np.flatnonzero((over > 0).any(axis=0))
             first, terms = (over[:, slips] > 0).argmax(axis=0), arcs[:, slips]
@@ -319,7 +321,7 @@ class CurvedSurface:
             below, above = over[first - 1, slips], over[first, slips]
             for _ in range(8):  # false position: all but straight, each is some 40 times closer
                 at = inside + (outside - inside) * below / (below - above)
-                value = (basis(self._across, at) * terms).sum(axis=0) - 1
+                value = summed(basis(self._across, at), terms, "kn,kn->n") - 1
                 inside, below = np.where(value > 0, [inside, below], [at, value])
                 outside, above = np.where(value > 0, [at, value], [outside, above])
             out[np.flatnonzero(place.far)[slips]] *= 1 - at**2
@@ -345,7 +347,8 @@ class CurvedSurface:
         if place.far.any():
             far = np.flatnonzero(place.far[which])
             at = (np.cumsum(place.far) - 1)[which][far]
-            slips[far] = (powers[:, far] * self._arcs_at(place)[:, at]).sum(axis=0) > 1 + 1e-9
+            arcs = summed(powers[:, far], self._arcs_at(place)[:, at], "kn,kn->n")
+            slips[far] = arcs > 1 + 1e-9
         in_contact = in_reach & (push >= 0) & (push <= last) & ~slips
         out[~in_contact] = np.nan
         lost = np.where(slips, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
