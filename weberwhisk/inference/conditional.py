@@ -64,10 +64,22 @@ class Conditional:
         return space if self._reaches is None else space.reaching(np.array(self._reaches)[which])
 
     def evaluate(self, x: Array, which: Index) -> Evaluated:
-        """At coordinates (N, U) and numbers (N,), without density where contact is lost."""
+        """At coordinates (N, U) and numbers (N,), without density where contact is lost.
+
+        The same to the bit whatever other coordinates are evaluated with them.
+        """
+        given = list(self.values[which].T)
+        if given and (which == which[0]).all():
+            # Tables are summed in another order for one value: a last contact has values beside it.
+            x, which = np.append(x, x[-1:], axis=0), np.append(which, which[-1:])
+            given = [np.append(v, v[-1] * (1 + 1e-9) + 1e-300) for v in given]
+            return Evaluated(*(part[:-1] for part in self._evaluated(x, which, given)))
+        return self._evaluated(x, which, given)
+
+    def _evaluated(self, x: Array, which: Index, given: list[Array]) -> Evaluated:
         observer = self.observer
         with np.errstate(all="ignore"):
-            contact, log_prior = self._space(which).constrain(x, self.given(which))
+            contact, log_prior = self._space(which).constrain(x, given)
             signals, outcome = observer.cue.signals(
                 observer.whisker, contact, model=observer.solver
             )

@@ -48,6 +48,17 @@ class GaussianTerm:
         value = reading - mean
         return within_half_turn(value) if k in self.circular else value
 
+    def uncorrelated(self, z: Array) -> Array:
+        """Values (..., size) in sds as combinations of them without correlation.
+
+        Added up one by one: the sums of BLAS depend in the last bit on how many rows there are.
+        """
+        columns = [
+            sum(self.root[k, i] * z[..., i] for i in np.flatnonzero(self.root[k]))
+            for k in range(self.size)
+        ]
+        return np.stack(columns, axis=-1)
+
     def log(self, z: list[Array], blurred: bool) -> Array:
         """−½ of the squared distance of readings, given (reading − mean)/sd of each signal."""
         total: Any = 0.0

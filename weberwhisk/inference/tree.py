@@ -141,7 +141,7 @@ class Tree:
             prior_square = (2.5 * level.step) ** 2
             length = change[..., :-1] / scale
             if self.gaussian:
-                length[..., :size] = length[..., :size] @ self.gaussian.root.T
+                length[..., :size] = self.gaussian.uncorrelated(length[..., :size])
             square = np.square(length).sum(axis=2) + prior_square[:, None]
             other = (
                 total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]

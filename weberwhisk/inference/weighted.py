@@ -576,7 +576,9 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     # Beside a cliff a cubic overshoots.
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
     out = np.minimum(out, ceiling[..., None])
-    x, out = np.arange(m * parts) / parts - 1.0, out.reshape(n, -1)
+    x, out = np.arange(m * parts + 3) / parts - 1.0, out.reshape(n, -1)
+    # The longest row ends as the others do, so that a row is the same whatever rows it is with.
+    out = np.concatenate([out, pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
     known = np.asarray(np.isfinite(log))
     first, last = known.argmax(axis=1), count - 1 - known[:, ::-1].argmax(axis=1)
     beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
