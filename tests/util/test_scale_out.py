@@ -20,6 +20,7 @@ import weberwhisk as ww
 from weberwhisk._util.campaign import CampaignError, run
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, taper
+from weberwhisk.inference import quadrature
 
 HERE = Path(__file__).parents[1]
 
@@ -108,6 +109,14 @@ def test_power_and_recovery(cluster: str) -> None:
     )
     pd.testing.assert_frame_equal(there, alone)
     assert np.isfinite(alone["estimate"]).all()
+
+
+def test_posteriors(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quadrature, "TOGETHER", 2)
+    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
+    y = observer.read([[15e-3, 0.1], [25e-3, 0.1], [35e-3, 0.1]], seed=1)
+    alone, there = (ww.posterior(observer, y, scheduler=where) for where in (None, cluster))
+    pd.testing.assert_frame_equal(there.summary(), alone.summary())
 
 
 def test_the_command(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:

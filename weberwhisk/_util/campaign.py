@@ -226,7 +226,8 @@ def _line(
             table = work(dict(chunk), seed)
         return json.dumps({"chunk": number, "rows": len(table), "columns": _encoded(table)})
     except Exception as error:
-        wrong = CampaignError(f"chunk {number} {chunk} failed: {type(error).__name__}: {error}.")
+        text = f"{chunk}" if len(f"{chunk}") <= 300 else f"{str(chunk)[:300]}…"
+        wrong = CampaignError(f"chunk {number} {text} failed: {type(error).__name__}: {error}.")
         wrong.add_note("".join(traceback.format_exception(error)))
         raise wrong from None
 

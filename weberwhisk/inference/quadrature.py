@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from .result import Estimate, Status, is_improbable, is_unidentified, refuse_imp
 from .tree import DROP, TOLERANCE, tree_of
 from .weighted import WeightedPosteriors
 
-__all__ = ["QuadratureSolution", "quadrature", "sums_of"]
+__all__ = ["QuadratureSolution", "chunk_size", "quadrature", "refuse_too_many", "sums_of"]
 
 #: Most readings that are solved together, for progress; of unknowns that have priors alone, whose
 #: readings have up to 3 MB of cells each.
@@ -53,36 +53,44 @@ def quadrature(
     progress: Callable[[int, int], None] | None,
 ) -> QuadratureSolution:  # fmt: skip
     """Posteriors of readings (B, R) by quadrature, some at a time."""
+    refuse_too_many(observer)
+    tolerance = tolerance or TOLERANCE
+    parts: list[QuadratureSolution] = []
+    done, room, size = 0, tree.MEMORY / 2, chunk_size(observer)
+    while done < len(reading) or not parts:
+        begin, done = done, min(done + size, len(reading))
+        part = QuadratureSolution.of_chunk(observer, reading[begin:done], tolerance)
+        sums = part.kept[0]
+        assert sums is not None
+        room -= sums.bytes
+        if room <= 0:
+            part.kept = [None]
+        parts.append(part)
+        if size != LAYERED:  # so many that their cells take a quarter of the memory
+            size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED + 1, TOGETHER))
+        if progress:
+            progress(done, len(reading))
+    solution = QuadratureSolution.joined(parts)
+    refuse_impossible(reading, solution.log_evidence)
+    return solution
+
+
+def refuse_too_many(observer: Observer) -> None:
+    """Refuse an observer of more unknowns than can be summed over."""
     if len(observer.unknowns) > 4:
         raise Refusal(
             "Quadrature sums over four unknowns at most",
             f"{len(observer.unknowns)} ({', '.join(observer.unknowns)})",
             "write " + argument("method", "emcee"),
         )
-    tolerance = tolerance or TOLERANCE
-    chunks: list[tuple[int, int]] = []
-    kept: list[WeightedPosteriors | None] = []
-    columns: list[tuple[Array, ...]] = []
-    done, room = 0, tree.MEMORY / 2
-    layered = len(observer.unknowns) > observer.inner
-    size = LAYERED if layered else TOGETHER
-    while done < len(reading) or not columns:
-        begin, done = done, min(done + size, len(reading))
-        sums = sums_of(observer, reading[begin:done], tolerance=tolerance)
-        columns.append((sums.mean, sums.sd, sums.error, sums.log_evidence, sums.best))
-        room -= sums.bytes
-        chunks.append((begin, done))
-        kept.append(sums if room > 0 else None)
-        if not layered:  # so many that their cells take a quarter of the memory
-            size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED, TOGETHER))
-        if progress:
-            progress(done, len(reading))
-    mean, sd, error, evidence, best = (np.concatenate(c) for c in zip(*columns, strict=True))
-    refuse_impossible(reading, np.nan_to_num(evidence, nan=-np.inf))
-    status = _status(observer, reading, best, error, tolerance)
-    return QuadratureSolution(
-        observer, reading, tolerance, mean, sd, error, evidence, status, chunks, kept
-    )
+
+
+def chunk_size(observer: Observer) -> int:
+    """How many readings are solved together at most.
+
+    Nodes of unknowns that have priors alone are halved for all of them: which they are matters.
+    """
+    return LAYERED if len(observer.unknowns) > observer.inner else TOGETHER
 
 
 @dataclass(eq=False)
@@ -110,6 +118,37 @@ class QuadratureSolution:
     status: NDArray[np.int8]
     chunks: list[tuple[int, int]]
     kept: list[WeightedPosteriors | None]
+
+    @classmethod
+    def of_chunk(cls, observer: Observer, readings: Array, tolerance: float) -> QuadratureSolution:
+        """The posteriors of readings that are summed together; impossible ones have no evidence."""
+        sums = sums_of(observer, readings, tolerance=tolerance)
+        possible = ~np.isnan(sums.log_evidence)
+        evidence = np.where(possible, sums.log_evidence, -np.inf)
+        status = np.zeros(len(readings), dtype=np.int8)
+        status[possible] = _status(
+            observer, readings[possible], sums.best[possible], sums.error[possible], tolerance
+        )
+        return cls(
+            observer, readings, tolerance, sums.mean, sums.sd, sums.error, evidence, status,
+            [(0, len(readings))], [sums],
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence[QuadratureSolution]) -> QuadratureSolution:
+        """Solutions of readings that follow one another, as one."""
+        names = ("readings", "mean", "sd", "error", "log_evidence", "status")
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        begins = np.cumsum([0, *(len(part.readings) for part in parts)])
+        chunks = [
+            (int(begin) + first, int(begin) + last)
+            for begin, part in zip(begins, parts, strict=False)
+            for first, last in part.chunks
+        ]
+        return cls(
+            parts[0].observer, tolerance=parts[0].tolerance, chunks=chunks,
+            kept=[sums for part in parts for sums in part.kept], **columns,
+        )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"kept": [None] * len(self.kept)}
