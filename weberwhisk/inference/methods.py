@@ -102,19 +102,19 @@ def posterior(
     given = np.isfinite(rows).all(axis=1)
     nothing = given & _of_no_contact(observer, rows)
     usable = given & ~nothing
-    asked, row = rows[usable], np.full(len(rows), -1)
-    row[usable] = np.arange(len(asked))
+    requested, row = rows[usable], np.full(len(rows), -1)
+    row[usable] = np.arange(len(requested))
     if observer.noise.is_categorical:  # few things can happen: each is solved once
-        asked, back = np.unique(asked, axis=0, return_inverse=True)
+        requested, back = np.unique(requested, axis=0, return_inverse=True)
         row[usable] = back.reshape(-1)
     solved: Solution
     if in_parallel and usable.any():
-        solved = spread_quadrature(observer, asked, tolerance, progress, workers, scheduler)
+        solved = spread_quadrature(observer, requested, tolerance, progress, workers, scheduler)
     else:
         methods: dict[str, Callable[..., Solution]]
         methods = {"quadrature": quadrature, "emcee": sample, "laplace": laplace}
         solve = methods[method] if usable.any() else quadrature
-        solved = solve(observer, asked, seed, tolerance, progress)
+        solved = solve(observer, requested, seed, tolerance, progress)
     solution = AtReadings.of(solved, row)
     if method != "quadrature":  # which knows no ends there
         cut = _cut_off(observer, solution) & (solution.status == Status.CONVERGED)

@@ -55,9 +55,9 @@ def quadrature(
     """Posteriors of readings (B, R) by quadrature, some at a time."""
     refuse_too_many(observer)
     tolerance = tolerance or TOLERANCE
-    parts: list[QuadratureSolution] = []
+    solutions: list[QuadratureSolution] = []
     done, room, size = 0, tree.MEMORY / 2, chunk_size(observer)
-    while done < len(reading) or not parts:
+    while done < len(reading) or not solutions:
         begin, done = done, min(done + size, len(reading))
         part = QuadratureSolution.of_chunk(observer, reading[begin:done], tolerance)
         sums = part.kept[0]
@@ -65,12 +65,12 @@ def quadrature(
         room -= sums.bytes
         if room <= 0:
             part.kept = [None]
-        parts.append(part)
+        solutions.append(part)
         if size != LAYERED:  # so many that their cells take a quarter of the memory
             size = int(np.clip(tree.MEMORY / 4 / max(sums.bytes / size, 1), LAYERED + 1, TOGETHER))
         if progress:
             progress(done, len(reading))
-    solution = QuadratureSolution.joined(parts)
+    solution = QuadratureSolution.joined(solutions)
     refuse_impossible(reading, solution.log_evidence)
     return solution
 
@@ -135,19 +135,21 @@ class QuadratureSolution:
         )  # fmt: skip
 
     @classmethod
-    def joined(cls, parts: Sequence[QuadratureSolution]) -> QuadratureSolution:
+    def joined(cls, solutions: Sequence[QuadratureSolution]) -> QuadratureSolution:
         """Solutions of readings that follow one another, as one."""
         names = ("readings", "mean", "sd", "error", "log_evidence", "status")
-        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        begins = np.cumsum([0, *(len(part.readings) for part in parts)])
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in solutions]) for name in names
+        }
+        begins = np.cumsum([0, *(len(part.readings) for part in solutions)])
         chunks = [
             (int(begin) + first, int(begin) + last)
-            for begin, part in zip(begins, parts, strict=False)
+            for begin, part in zip(begins, solutions, strict=False)
             for first, last in part.chunks
         ]
         return cls(
-            parts[0].observer, tolerance=parts[0].tolerance, chunks=chunks,
-            kept=[sums for part in parts for sums in part.kept], **columns,
+            solutions[0].observer, tolerance=solutions[0].tolerance, chunks=chunks,
+            kept=[sums for part in solutions for sums in part.kept], **columns,
         )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
