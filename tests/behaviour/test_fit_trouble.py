@@ -23,7 +23,9 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
+from weberwhisk.behaviour.effects import History
 from weberwhisk.behaviour.encodings import IdentityEncoding
+from weberwhisk.behaviour.importance import ImportancePosterior
 from weberwhisk.behaviour.psychometric import threshold
 
 ENDS = [0.025, 0.5, 0.975]
@@ -260,3 +262,15 @@ def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
     )
     assert np.isfinite(point[1])
     assert np.isinf(point[0])
+
+
+def test_a_posterior_that_was_given_up_names_the_method_to_take(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It said "the other method", of which there are two."""
+    given_up = property(lambda self: "its draws are worth only 9 independent ones")
+    monkeypatch.setattr(ImportancePosterior, "trouble", given_up)
+    trials = simulate_trials(sessions=2, trials_per_level=20, seed=1)
+    fit = fit_weber(trials, effects=[History()])
+    assert fit.status is FitStatus.NOT_CONVERGED
+    assert "first fit with method='emcee', or state more beforehand" in fit.report()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,10 @@ from weberwhisk._util.refusals import Refusal, argument, call, named
 from weberwhisk.behaviour.effects import Covariate, Drift
 from weberwhisk.cli import COMMANDS, app
 
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+#: Of pytest, of scripts in `analyses/` and of the builder of the pages for a browser.
+OF_OTHERS = {"--short", "--pyodide", "--workers", "--dist"}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 
 
@@ -27,7 +32,10 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 def parameters(command: str) -> dict[str, set[str]]:
     """The parameters of a command, with their options."""
     group = typer.main.get_command(app)
-    return {p.name: set(p.opts) for p in group.commands[command].params}  # type: ignore[attr-defined]
+    return {
+        p.name: {*p.opts, *p.secondary_opts}
+        for p in group.commands[command].params  # type: ignore[attr-defined]
+    }
 
 
 @cache
@@ -55,16 +63,45 @@ def refusals() -> list[Refusal]:
     return made
 
 
-def test_every_option_that_a_text_of_the_package_names_exists() -> None:
-    wrong = [
-        f"{path.name}:{node.lineno}: {name}"
-        for path in sorted(Path(ww.__file__).parent.rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+def named_in(tree: ast.AST) -> list[tuple[int, str]]:
+    """The options that texts of a piece of code name, with their lines."""
+    return [
+        (node.lineno, name)
+        for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         for name in OPTION.findall(node.value)
-        if not any(one.startswith(name) for one in options())
+    ]
+
+
+def test_every_option_that_a_text_of_the_package_names_exists() -> None:
+    wrong = [
+        f"{path.name}:{line}: {name}"
+        for path in sorted(Path(ww.__file__).parent.rglob("*.py"))
+        for line, name in named_in(ast.parse(path.read_text("utf-8")))
+        if name not in options()
     ]
     assert not wrong, wrong
+
+
+def test_a_command_names_its_own_options_alone() -> None:
+    """And what the commands of a module share, options of any of these."""
+    for path in {Path(inspect.getfile(inspect.unwrap(of))) for of in COMMANDS.values()}:
+        tree = ast.parse(path.read_text("utf-8"))
+        mine = {inspect.unwrap(of).__name__: name for name, of in COMMANDS.items()
+                if Path(inspect.getfile(inspect.unwrap(of))) == path}  # fmt: skip
+        for node in tree.body:
+            command = mine.get(getattr(node, "name", ""))
+            there = options(command) if command else options(*mine.values())
+            wrong = [f"{path.name}:{line}: {name}" for line, name in named_in(node)
+                     if name not in there]  # fmt: skip
+            assert not wrong, wrong
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_option_that_a_page_names_exists(page: Path) -> None:
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
+    named = re.findall(r"`(--[a-z][a-z-]*)[^`]*`", text)
+    assert set(named) - options() - OF_OTHERS == set()
 
 
 def test_parameters_of_another_name_have_options() -> None:

@@ -156,14 +156,20 @@ def _next(fit: Estimates) -> str:
 
 def _instead(fit: Estimates) -> Advice:
     """What to do where a posterior was given up."""
+    by_emcee = fit.method == "emcee"
     if not too_few_kinds(fit.model):
-        return "fit by the other method, or state more beforehand (" + named("priors") + ")"
+        more = "state more beforehand (" + named("priors") + ")"
+        if fit.model.n_states > 1:  # there is no other method
+            return more
+        if by_emcee:
+            return "leave " + named("method") + " out, or " + more
+        return "fit with " + argument("method", "emcee") + ", or " + more
     rare = stats.beta(1, 20)
     rare_lapses = argument("priors", {"lapse_low": rare, "lapse_high": rare})
     ways = ["believe lapses to be few, " + rare_lapses]
     if fit.model.task.has_bias and fit.bias == "shared" and fit.standards.size > 1:
         ways.append("fit " + argument("bias", "per standard"))
-    return Advice.joined("; or ", ways) + "; the other method would give up as well"
+    return Advice.joined("; or ", ways) + ("" if by_emcee else "; emcee would give up as well")
 
 
 def sentence(message: str) -> str:

@@ -297,7 +297,8 @@ def _with_typer(
         options = {"parser": a_number, "metavar": "NUMBER", **options}
     elif kind == Texts:
         options = {"metavar": "LIST", **options}
-    return Annotated[kind, typer.Option(option(name), *also, **options)]
+    either = f"{option(name)}/{option(f'no_{name}')}" if kind == bool | None else option(name)
+    return Annotated[kind, typer.Option(either, *also, **options)]
 
 
 def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
