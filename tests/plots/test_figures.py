@@ -104,7 +104,7 @@ def test_psychometric_shows_choices_and_curve(fit: ww.behaviour.WeberFit) -> Non
 
 def test_psychometrics_has_a_panel_for_each_standard(fit: ww.behaviour.WeberFit) -> None:
     axes = plots.psychometrics(fit, unit="g")
-    assert [ax.get_title() for ax in axes] == ["standard 1", "standard 2"]
+    assert [ax.get_title() for ax in axes] == ["standard 1 g", "standard 2 g"]
     assert plots.figure_of(axes).get_supxlabel() == "Second stimulus (g)"
 
 
@@ -386,6 +386,39 @@ def test_thousands_of_readings_are_a_band_and_dots(tmp_path: Path) -> None:
     assert faults(figure) == []
     figure.savefig(tmp_path / "one.svg")
     assert (tmp_path / "one.svg").stat().st_size < 400_000
+
+
+def test_swapped_pairs_are_drawn_where_they_are_as_hard_to_tell() -> None:
+    """They were put at an equal ratio of millimetres, while the curve is of signals."""
+    encoding = ww.behaviour.CueEncoding(observer(), unit=1e-3)
+    trials = ww.simulate_trials(standards=[15.0], offsets=[-0.3, 0.4], encoding=encoding,
+                                order="random", trials_per_level=20, seed=1)  # fmt: skip
+    fit = ww.fit_weber(trials, encoding=encoding)
+    (ax,) = plots.psychometrics(fit)
+    (marks,) = (c.lines[0] for c in ax.containers)
+    cells = fit.trials.cells()
+    task, k = fit.trials.task, fit.weber_fraction
+
+    def chance(first: Any, second: Any) -> Any:
+        p = ww.behaviour.response_probability(task, encoding, first, second, weber_fraction=k)
+        return np.asarray(p)
+
+    places = np.sort(marks.get_xdata())
+    expected = np.sort(chance(cells.stimulus_1, cells.stimulus_2))
+    np.testing.assert_allclose(chance(np.full(places.size, 15.0), places), expected, atol=2e-4)
+    at_ratio = np.sort(15 * cells.stimulus_2 / cells.stimulus_1)
+    assert np.abs(places - at_ratio).max() > 0.3
+    assert "of equal d′" in ax.get_xlabel() + plots.figure_of(ax).get_supxlabel()
+
+
+def test_numbers_on_axes_are_as_people_write_them() -> None:
+    fit = ww.fit_weber(ww.simulate_trials(standards=[1200, 12000], trials_per_level=8, seed=1))
+    axes = plots.psychometrics(fit, unit="ms")
+    figure = plots.figure_of(axes)
+    assert faults(figure) == []
+    assert [ax.get_title() for ax in axes] == ["standard 1200 ms", "standard 12000 ms"]
+    shown = [label.get_text() for ax in axes for label in ax.get_xticklabels()]
+    assert not any("e" in text for text in shown)
 
 
 def test_axes_are_named_after_what_is_on_them() -> None:

@@ -265,6 +265,8 @@ class BayesianPlacer(TrialLog):
             checks.positive_number("width", width, "write 0.2 for an interval of ±20 %")
             refuse_given_k(self.hypotheses, f"trials end at an interval of k of width={width:g}")
         self.easy_share, self.width, self.most = easy_share, width, _limit("most", most)
+        #: After each answer: trials, and 2.5, 50 and 97.5 % of k.
+        self.course: list[tuple[float, ...]] = []
         self._cells = scheme.cells()
         self.beliefs = {h.name: Belief(h, self._cells) for h in self.hypotheses}
 
@@ -335,6 +337,8 @@ class BayesianPlacer(TrialLog):
     def _learn(self, pair: Pair, answer: int) -> None:
         for belief in self.beliefs.values():
             belief.absorb(pair, answer)
+        k = self.best.quantile(np.array([0.025, 0.5, 0.975]))
+        self.course.append((len(self._recorded), *k.tolist()))
 
 
 def next_trial(

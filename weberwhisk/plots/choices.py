@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from .._util import checks
 from .._util.refusals import Refusal
-from .._util.values import Array, Flags, Index
+from .._util.values import Array, Flags, Index, plain_number
 from .fits import height_of, shrinkage
 from .style import (
     COLOURS,
@@ -29,6 +28,7 @@ from .style import (
     look,
     mark,
     open_figure,
+    plain_numbers,
     styled,
 )
 
@@ -79,7 +79,8 @@ def psychometrics(
     Notes
     -----
     The curve is for a first stimulus at the standard. Choices with another first stimulus are drawn
-    where a second one has the same ratio to the standard (on a log scale, the same difference). The
+    at the second one that is as easy to tell from the standard: of equal d′ under the fit, and so
+    of a magnitude with Weber noise at the same ratio (on a log scale, the same difference). The
     curve of a group of standards is what the fit expects of the choices in each bin.
 
     Examples
@@ -90,7 +91,7 @@ def psychometrics(
     ('', 1)
     """
     given = None if axes is None else np.array(axes, dtype=object).ravel()
-    panels = _panels(fit, standard, 4 if given is None else len(given))
+    panels = _panels(fit, standard, 4 if given is None else len(given), unit)
     count, in_groups = len(panels), standard is None and _grouped(len(fit.standards))
     label = _stimulus_label(fit, unit, in_groups)
     if given is not None:
@@ -130,12 +131,17 @@ class _Panel:
     draw: Callable[[Axes], None]
 
 
-def _panels(fit: WeberFit, standard: float | None, most: int) -> list[_Panel]:
+def _standard_title(fit: WeberFit, standard: float, unit: str = "") -> str:
+    unit = drawable(unit or fit.stimulus_unit)
+    return f"standard {plain_number(standard)}{f' {unit}' if unit else ''}"
+
+
+def _panels(fit: WeberFit, standard: float | None, most: int, unit: str = "") -> list[_Panel]:
     """A panel for each standard, or for groups of them with as many trials each."""
     standards = fit.standards if standard is None else np.array([float(standard)])
     if not _grouped(len(standards)):
         return [
-            _Panel(f"standard {s:.3g}", partial(_choices, fit, standard=float(s)))
+            _Panel(_standard_title(fit, float(s), unit), partial(_choices, fit, standard=float(s)))
             for s in standards
         ]
     cells = fit.model.cells
@@ -144,7 +150,8 @@ def _panels(fit: WeberFit, standard: float | None, most: int) -> list[_Panel]:
     for i in range(group.max(initial=-1) + 1):
         part = group == i
         low, high = cells.standard[part].min(), cells.standard[part].max()
-        panels.append(_Panel(f"standards {low:.3g} to {high:.3g}", partial(_group, fit, part=part)))
+        title = f"standards {plain_number(low, 3)} to {plain_number(high, 3)}"
+        panels.append(_Panel(title, partial(_group, fit, part=part)))
     return panels
 
 
@@ -180,7 +187,16 @@ def _stimulus_label(fit: WeberFit, unit: str, in_groups: bool = False) -> str:
         return f"{second} / {first}"
     if np.allclose(cells.stimulus_1, cells.standard):
         return f"{second}{counted}"
-    return f"{second} × standard / {first}{counted}"
+    if _by_ratio(fit):
+        return f"{second} × standard / {first}{counted}"
+    return f"{second} of equal d′{counted}"
+
+
+def _by_ratio(fit: WeberFit) -> bool:
+    """Whether two pairs at the same ratio are as easy to tell apart."""
+    from ..behaviour.encodings import IdentityEncoding
+
+    return isinstance(fit.encoding, IdentityEncoding) and fit.noise == "weber" and not fit.effects
 
 
 def _answer_label(fit: WeberFit) -> str:
@@ -241,16 +257,50 @@ def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
     """Positions on the axis of the choices at a standard, and their counts."""
     every = fit.trials.cells()
     if not fit.trials.has_standards:
-        first, second = every.stimulus_1, every.stimulus_2
-        return second - first if _relative(fit) else standard * second / first, every
+        return _beside(fit, every, standard), every
     if every.standard.size and not np.isclose(every.standard, standard).any():
         raise Refusal(
             f"standard {standard:g} has no answers to draw",
             remedy=f"choose one of {checks.listed(fit.standards)}",
         )
     cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
+    return _beside(fit, cells, standard), cells
+
+
+def _beside(fit: WeberFit, cells: Cells, standard: float) -> Array:
+    """The second stimulus that is as easy to tell from the standard as those of each cell."""
     first, second = cells.stimulus_1, cells.stimulus_2
-    return second - first if _relative(fit) else standard * second / first, cells
+    if _relative(fit):
+        return second - first
+    at_ratio = standard * second / first
+    moved = ~np.isclose(first, standard)
+    if _by_ratio(fit) or not moved.any():
+        return at_ratio
+    low, high = fit.encoding.domain
+    reach = np.abs(np.r_[second, at_ratio, first] - standard).max()
+    ends = np.clip([standard - 3 * reach, standard + 3 * reach], low, high)
+    inset = 1e-6 * (ends[1] - ends[0])
+    places = np.linspace(ends[0] + inset, ends[1] - inset, 2001)
+    rising = np.maximum.accumulate(_decided(fit, np.full(places.size, standard), places, standard))
+    with np.errstate(invalid="ignore"):
+        found = np.interp(_decided(fit, first, second, cells.standard), rising, places)
+    return np.where(moved, found, second)
+
+
+def _decided(fit: WeberFit, first: Array, second: Array, standard: Array | float) -> Array:
+    """d′ of pairs under the fit, at the medians of its parameters and without response bias."""
+    from ..behaviour.encodings import unit_encodings
+
+    model = fit.model
+    signals = unit_encodings(fit.encoding, first, second, standard, fit.noise).encoded(
+        np.float64(fit.weber_fraction)
+    )
+    for effect in model.effects:
+        free = effect.name in fit.parameters
+        value = fit.posterior.quantile(effect.name, 0.5) if free else model.fixed_value(effect.name)
+        signals = effect.apply(signals, np.asarray(value, dtype=float), 0.0)
+    gap = signals.mean_2 - signals.mean_1
+    return np.asarray(gap / model.task.decision_sd(signals) + signals.shift)
 
 
 def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
@@ -304,7 +354,7 @@ def _marked(ax: Axes, points: _Points, most: int, bins: int = 0, label: str = ""
     words = label or ("choices, 95 %" if shown is points else "choices in bins, 95 %")
     bars(ax, shown.x, (share, low, high), 0, color=COLOURS[6], label=words, markersize=4)
     ax.set_ylim(-0.03, 1.03)
-    ax.xaxis.set_major_locator(MaxNLocator(5))
+    plain_numbers(ax.xaxis)
 
 
 def binomial_interval(count: Array, n: Array) -> tuple[Array, Array]:
@@ -360,9 +410,9 @@ def population(
                 _animal(each, axes[-1], standard, number, f"{drawable(str(animal))}, alone")
         else:
             _animals([*here.values()], axes[-1], standard)
-        title = "all standards" if standard is None else f"standard {standard:.3g}"
+        title = "all standards" if standard is None else _standard_title(one, standard, unit)
         axes[-1].set(title=title, ylim=(-0.03, 1.03))
-        axes[-1].xaxis.set_major_locator(MaxNLocator(4))
+        plain_numbers(axes[-1].xaxis, most=4)
         axes[-1].set_xlabel(_stimulus_label(one, unit, in_groups))
     axes[0].set_ylabel(_answer_label(one))
     legend_over(figure, axes, 6)

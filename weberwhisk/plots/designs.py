@@ -214,7 +214,18 @@ def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
 
 @styled
 def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
-    """Plot Weber fractions with 95 % intervals, by animal (or for all) and hypothesis."""
+    """Plot Weber fractions with 95 % intervals, by animal (or for all) and hypothesis.
+
+    Beside a plan's intervals stands how wide they were to be. Without `ax` a second panel has the
+    Bayes factor of each hypothesis against the best of the others, where there are several.
+    """
+    from ..design.goals import Precision
+
+    goal = None if result.plan is None else result.plan.goal
+    if ax is None and len(result.log_evidence) > 1:
+        figure = open_figure(DOUBLE, 2.8)
+        ax, beside = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+        _bayes_factors(result, beside)
     ax = axes_or_new(ax)
     subjects = list(dict.fromkeys(result.estimates["subject"]))
     middle = (len(result.log_evidence) - 1) / 2
@@ -222,18 +233,57 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
         estimates = result.of(name)
         ends = (estimates[column] for column in ("weber_fraction", "lower", "upper"))
         at = [subjects.index(s) + 0.15 * (i - middle) for s in estimates["subject"]]
+        if isinstance(goal, Precision):
+            k, planned = estimates["weber_fraction"].to_numpy(float), goal.half_width
+            label = f"planned ±{100 * planned:g} %" if i == 0 else None
+            ax.vlines(at, k * (1 - planned), k * (1 + planned), color="0.85", linewidth=7,
+                      zorder=0, label=label)  # fmt: skip
         bars(ax, at, ends, i, label=f"{drawable(name)}, 95 %")
     ax.set_xticks(range(len(subjects)), [drawable(str(s)) for s in subjects])
     who = "animal" if result.plan is None else result.plan.animals.subject
     who = f"{who[0].upper()}{who[1:]}"
     ax.set(xlabel=who, ylabel="Weber fraction k", xlim=(-0.6, len(subjects) - 0.4))
-    ax.set_yscale("log")
+    ends = result.estimates[["lower", "upper"]].to_numpy(float)
+    if np.nanmax(ends) > 5 * np.nanmin(ends):
+        ax.set_yscale("log")
+        log_numbers(ax.yaxis)
+    else:
+        plain_numbers(ax.yaxis)
     return legend_above(ax)
+
+
+def _bayes_factors(result: AnalysisResult, ax: Axes) -> None:
+    """Draw the Bayes factor of each hypothesis against the best of the others, and the goal."""
+    from ..design.goals import Evidence
+
+    names = list(result.log_evidence)
+    for i, name in enumerate(names):
+        ax.plot(result.log_bayes_factor(name) / np.log(10.0), i, **mark(i, markersize=5))
+    ax.axvline(0.0, color="0.8", linewidth=0.8, zorder=0)
+    goal = None if result.plan is None else result.plan.goal
+    if isinstance(goal, Evidence):
+        limit = goal.threshold / np.log(10.0)
+        ax.axvline(limit, color="0.5", linewidth=0.8, linestyle=":", label="planned")
+        ax.axvline(-limit, color="0.5", linewidth=0.8, linestyle=":")
+    ax.set_yticks(range(len(names)), [drawable(name) for name in names])
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.margins(x=0.15)
+    ax.set_xlabel("log$_{10}$ Bayes factor")
+    legend_above(ax)
 
 
 @styled
 def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
-    """Plot the comparisons of a session in order, and whether they were judged greater."""
+    """Plot the comparisons of a session in order, and whether they were judged greater.
+
+    Without `ax` also the Weber fraction after every trial with its 95 % interval, where the trials
+    were placed by it.
+    """
+    course = np.array(getattr(placer, "course", [])).reshape(-1, 4)
+    below = None
+    if ax is None and len(course):
+        figure = open_figure(SINGLE, 4.2)
+        ax, below = figure.subplots(2, 1, sharex=True)
     ax = axes_or_new(ax, SINGLE, 2.8)
     trials = placer.trials().frame
     asked, of = placer.hypotheses[0].asked, placer.magnitude
@@ -245,7 +295,16 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
         ax.plot(trials["trial"][chosen], offset[chosen], **mark(i, markersize=2.5), label=label)
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set(xlabel="Trial", ylabel=drawable(of.axis("comparison − standard"), 60))
+    ax.set_ylabel(drawable(of.axis("comparison − standard"), 60))
+    plain_numbers(ax.yaxis)
+    if below is not None:
+        trial, low, middle, high = course.T
+        below.fill_between(trial, low, high, color=COLOURS[4], alpha=0.35, step="post")
+        below.step(trial, middle, where="post", color=COLOURS[0])
+        below.set_yscale("log")
+        log_numbers(below.yaxis)
+        below.set_ylabel("Weber fraction k, 95 %")
+    (ax if below is None else below).set_xlabel("Trial")
     return legend_above(ax)
 
 

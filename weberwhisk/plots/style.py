@@ -172,7 +172,7 @@ def plain_numbers(axis: Axis, most: int = 5) -> None:
     for fewer in range(most, 1, -1):
         locator = MaxNLocator(fewer, min_n_ticks=2)
         longest = max((len(plain_number(v)) for v in locator.tick_values(low, high)), default=0)
-        if longest * fewer <= 4 * most:
+        if longest * fewer <= 3.5 * most:
             break
     axis.set_major_locator(locator)
     axis.set_major_formatter(lambda value, _: plain_number(value, 6).replace("-", "−"))
