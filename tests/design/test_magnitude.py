@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -289,3 +290,30 @@ def test_next_analyse_and_fit_agree_on_one_session(
     assert k["analyse"] == pytest.approx(k["next"], rel=1e-9)
     assert run_app(app, ["fit", str(log)]) == 0
     assert "--bias 'per standard'" in capsys.readouterr().out
+
+
+# -- power, beside whole experiments --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("runs", [24, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("magnitude", "options"),
+    [
+        ("duration", {"standards": [300, 600, 1200], "goal": Precision(0.25), "trials": 40}),
+        ("weight", {"standards": [100, 400], "rival": "exponent:0.5", "trials": 30}),
+        ("sound level", {"standards": [40, 60], "conditions": ["quiet", "noise"], "animals": 3,
+                         "goal": ww.design.Contrast(1.4), "trials": 24}),
+    ],
+)  # fmt: skip
+def test_simulated_studies_have_the_power_of_their_plan(
+    magnitude: str, options: dict[str, Any], runs: int
+) -> None:
+    """Lists, answers and analysis against the power, within 3 standard errors."""
+    plan = ww.plan_experiment(magnitude=magnitude, runs=400, find="nothing", **options)
+    assert plan.power is not None
+    planned = plan.power[plan.power["trials"] == options["trials"]].set_index("truth")
+    table = ww.simulate_study(plan, runs, seed=2).table.set_index("truth")
+    for truth, row in table.iterrows():
+        p = float(planned.loc[truth, "power"])
+        error = np.sqrt(max(p * (1 - p), 0.02) * (1 / 400 + 1 / runs))
+        assert abs(row["power"] - p) < 3 * error, (truth, row["power"], p)

@@ -59,14 +59,21 @@ def design(
     ] = None,
     question: Annotated[
         opt.Text,
-        "What is to be found: whiskers (tapered or cylinder), weber-law (or constant noise) or "
-        "precision (of k).  [a terminal asks; else whiskers, or weber-law of a --magnitude]",
+        "What is to be found: whiskers (tapered or cylinder), weber-law (or constant noise), "
+        "precision (of k) or conditions (in which k differs).  [a terminal asks; else whiskers, or "
+        "weber-law of a --magnitude]",
     ] = None,
     rival: Annotated[
         opt.Text,
         "Of weber-law: constant, exponent:0.5 (noise as a power of the signal) or floor:20 (noise "
         "that is left, in the unit).  [default: constant]",
         {"metavar": "NAME[:VALUE]"},
+    ] = None,
+    conditions: Annotated[
+        opt.Text, "Two conditions in which k is compared, such as saline,drug.", {"metavar": "A,B"}
+    ] = None,
+    ratio: Annotated[
+        opt.Number, "Goal: conditions told apart where k differs by this factor.  [default: 1.3]"
     ] = None,
     bayes_factor: Annotated[opt.Number, "Goal: a Bayes factor of this.  [default: 10]"] = None,
     half_width: Annotated[opt.Number, "Goal: 95 % interval of k, 0.2 for ±20 %."] = None,
@@ -107,7 +114,7 @@ def design(
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
     inputs = opt.as_asked(locals())
-    from ..design import Evidence, Precision, SubjectPopulation
+    from ..design import Contrast, Evidence, Precision, SubjectPopulation
 
     of, limits = _magnitude_asked(magnitude, unit, (least, greatest, step), words, log_unit)
     whisker: ww.Whisker | None = None
@@ -135,7 +142,7 @@ def design(
     if cue is not None or deflection_angle_deg:
         signals, angles = opt.the_cue(cue, deflection_angle_deg)
         encoded = {"cue": signals, "deflection_angle": opt.one_angle(angles)}
-    if (question, bayes_factor, half_width, of) == (None, None, None, None) and not as_json:
+    if (question, bayes_factor, half_width, of, conditions, ratio) == (None,) * 6 and not as_json:
         question = inputs["question"] = _question_asked()
     if bayes_factor is not None and half_width is not None:
         raise Refusal(
@@ -149,11 +156,23 @@ def design(
     who = "person" if people is not None else who
     number = next((n for n in (people, animals) if n is not None), 1)
     goal: Goal = Evidence(10.0 if bayes_factor is None else bayes_factor, share)
-    if half_width is not None or (bayes_factor is None and question == "precision"):
+    if conditions is not None or ratio is not None or question == "conditions":
+        if conditions is None:
+            raise Refusal("Two conditions have names", "none", "write --conditions saline,drug")
+        if bayes_factor is not None or half_width is not None:
+            raise Refusal(
+                "Two conditions are told apart by the ratio of their k",
+                "another goal",
+                "write --ratio 1.3",
+            )
+        question = inputs["question"] = question or "conditions"
+        goal = Contrast(1.3 if ratio is None else ratio, share)
+    elif half_width is not None or (bayes_factor is None and question == "precision"):
         goal = Precision(0.2 if half_width is None else half_width, share)
     with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker or "C2", magnitude=of, question=question, rival=rival, goal=goal,
+            conditions=[name.strip() for name in (conditions or "").split(",") if name.strip()],
             standards=at if at.size else None,
             levels=checks.finite("--level", levels, "write -1,1, say"), best=best,
             trials=trials, animals=number, find=find,
@@ -367,16 +386,19 @@ def _fit_again(plan: Plan, trials: ww.Trials, table: str) -> list[str]:
     subjects = trials.subjects or [None]
     whose = "" if len(subjects) == 1 else f" --subject {shlex.quote(str(subjects[0]))}"
     whose = " --together" if plan.together else whose
+    # A condition by itself is fitted as a table by itself.
+    parts = [f" --only condition={shlex.quote(name)}" for name in plan.scheme.conditions] or [""]
     said = []
     for h in plan.hypotheses:
         encoded = opt.encoding_options(h.encoding)
         if encoded is not None:
             noise = "" if h.noise == "weber" else f" --noise {h.noise}"
             of_log = f" --scale log --log-unit {plan.magnitude.log_unit}" * plan.magnitude.is_log
-            said.append(
-                f"  {h.name}: weberwhisk fit {shlex.quote(table)}{whose} --task "
+            said += [
+                f"  {h.name}: weberwhisk fit {shlex.quote(table)}{whose}{part} --task "
                 f"{shlex.quote(h.task)} --bias {shlex.quote(h.bias)}{noise}{of_log}{encoded}"
-            )
+                for part in parts
+            ]
     return ["\nThe same numbers again:", *said] if said else []
 
 

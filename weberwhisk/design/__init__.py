@@ -4,7 +4,7 @@ A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that 
 it runs, a placer chooses each trial from the answers to those before.
 """
 
-from .goals import Evidence, Goal, Precision
+from .goals import Contrast, Evidence, Goal, Precision
 from .hypotheses import Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .magnitude import MAGNITUDES, Magnitude, magnitude_named
 from .placement import BayesianPlacer, Proposal, TrialLog, next_trial
@@ -19,7 +19,8 @@ from .scheme_search import best_scheme
 from .session import Session, trial_lists
 
 __all__ = [
-    "LEVELS", "MAGNITUDES", "AnalysisResult", "BayesianPlacer", "Constraints", "Evidence", "Goal",
+    "LEVELS", "MAGNITUDES", "AnalysisResult", "BayesianPlacer", "Constraints", "Contrast",
+    "Evidence", "Goal",
     "Hypothesis", "Magnitude", "Plan", "Power", "Precision", "Proposal", "Scheme", "Session",
     "SubjectPopulation", "TrialLog", "analyse", "best_scheme", "cues", "lattice",
     "magnitude_named", "next_trial", "noises", "plan_experiment", "plan_json", "power",

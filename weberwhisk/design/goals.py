@@ -22,7 +22,7 @@ from .bounds import (
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, refuse_given_k
 from .scheme import Scheme, sized
 
-__all__ = ["Evidence", "Goal", "Precision", "goal_for"]
+__all__ = ["Contrast", "Evidence", "Goal", "Precision", "goal_for"]
 
 
 class Goal(Fields, ABC):
@@ -32,6 +32,8 @@ class Goal(Fields, ABC):
     """
 
     share: float
+    #: What has the interval `half_width`.
+    quantity: ClassVar[str] = "k"
     #: The column of `Power.runs` that decides.
     column: ClassVar[str]
     #: What `plan_experiment` may ask for it, the default first.
@@ -318,6 +320,101 @@ class Evidence(Goal):
         together: bool,
     ) -> None:
         if vary == "trials" and self.share >= 0.5:  # the bound is on the mean, so on the median
+            self._refuse_too_many_trials(scheme, hypotheses, expected, most)
+
+
+@dataclass(frozen=True, repr=False)
+class Contrast(Goal):
+    """Two conditions told apart: the interval of the ratio of their Weber fractions leaves out 1.
+
+    Parameters
+    ----------
+    ratio : float
+        Of k in the second condition to that in the first, where they differ.
+    share : float
+        The share of experiments that are to tell the conditions apart then.
+
+    Examples
+    --------
+    >>> print(Contrast(ratio=1.3))
+    a 95 % interval of the ratio of k that leaves out 1, where it is 1.3, in 80 % of experiments
+    """
+
+    column: ClassVar[str] = "half_width"
+    questions: ClassVar[tuple[str, ...]] = ("conditions",)
+    quantity: ClassVar[str] = "the ratio of k"
+    ratio: float
+    share: float = 0.8
+
+    def __post_init__(self) -> None:
+        checks.between("share", self.share, "write 0.8, say")
+        checks.positive_number("ratio", self.ratio, "write 1.3, say")
+        if self.ratio == 1:
+            raise Refusal("a ratio of 1 is no difference", "1", "write 1.3, say")
+
+    def __str__(self) -> str:
+        return (
+            f"a 95 % interval of the ratio of k that leaves out 1, where it is {self.ratio:g}, "
+            f"{self._often()}"
+        )
+
+    @property
+    def threshold(self) -> float:
+        """The half-width of an interval that just leaves out 1."""
+        return abs(1 - 1 / self.ratio)
+
+    def check(self, hypotheses: Sequence[Hypothesis]) -> None:
+        refuse_given_k(hypotheses, f"the goal is {self}")
+
+    def truths(self, hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
+        return hypotheses[:1]
+
+    def compared(self, hypotheses: Sequence[Hypothesis], truth: Hypothesis) -> Sequence[Hypothesis]:
+        return (truth,)
+
+    def score(self, log_bayes_factor: Array, half_width: Array) -> Array:
+        return -half_width
+
+    def is_reached(self, runs: pd.DataFrame) -> pd.Series:
+        return runs["lower"] > 1 if self.ratio > 1 else runs["upper"] < 1
+
+    def power_columns(self, runs: pd.DataFrame) -> dict[str, float]:
+        other = runs["upper"] < 1 if self.ratio > 1 else runs["lower"] > 1
+        return {"wrong": float(other.mean())}
+
+    def verdict_of_ratio(self, lower: float, upper: float) -> str:
+        """Whether an interval of the ratio tells the conditions apart."""
+        if lower > 1 or upper < 1:
+            return "its 95 % interval leaves out 1: the conditions are told apart"
+        return "its 95 % interval holds 1: the conditions are not told apart"
+
+    def inference(self, over_animals: str) -> str:
+        return (
+            "The result is the ratio of k in the second condition to that in the first, the same "
+            "for all who answer, with δ, its natural logarithm, ~ norm(0, 1) beforehand. The "
+            "conditions are called different if the equal-tailed 95 % interval of the ratio leaves "
+            "out 1; otherwise the experiment is reported as undecided."
+        )
+
+    def trials_needed(
+        self, scheme: Scheme, hypotheses: Sequence[Hypothesis], expected: SubjectPopulation
+    ) -> tuple[float, str]:
+        # An interval of either ln k that is √2 times as narrow, of all animals together.
+        half_width = min(abs(np.log(self.ratio)) * np.sqrt(scheme.animals / 2), 0.99)
+        needed = trials_for_half_width(scheme, hypotheses[0], expected, half_width, share=0.5)
+        return needed, f"a ratio of {self.ratio:g}"
+
+    def refuse_impossible(
+        self,
+        scheme: Scheme,
+        hypotheses: Sequence[Hypothesis],
+        expected: SubjectPopulation,
+        *,
+        vary: str,
+        most: int,
+        together: bool,
+    ) -> None:
+        if vary == "trials":
             self._refuse_too_many_trials(scheme, hypotheses, expected, most)
 
 

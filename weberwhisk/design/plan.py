@@ -27,7 +27,8 @@ from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
 from ..behaviour.verdict import FitStatus
 from ..sensitivity import criterion_factor
-from .goals import Goal, goal_for
+from .conditions import Ratio, ratio_of
+from .goals import Contrast, Goal, goal_for
 from .hypotheses import (
     ONE_STIMULUS,
     Hypothesis,
@@ -67,6 +68,9 @@ class AnalysisResult(Shown):
         One for each row of `estimates`.
     plan : Plan, optional
         Where the analysis is a plan's.
+    ratio : Ratio, optional
+        Of the Weber fractions in two conditions, where a plan compares them; `estimates` has then a
+        row a `condition`.
     """
 
     _figure: ClassVar[str] = "analysed"
@@ -76,6 +80,7 @@ class AnalysisResult(Shown):
     trials: Trials
     fits: Sequence[WeberFit | PopulationFit]
     plan: Plan | None = None
+    ratio: Ratio | None = None
 
     def log_bayes_factor(self, hypothesis: str) -> float:
         """Natural log of the Bayes factor for a hypothesis against the best of the others.
@@ -120,7 +125,8 @@ class AnalysisResult(Shown):
             else:
                 said = FitStatus[row["status"]].message
             said = said.replace("animals", who.subjects).replace("animal", who.subject)
-            sentences.append(f"{row['hypothesis']}, {row['subject']}: k = {k}; {said}.")
+            where = f", {row['condition']}" if "condition" in row else ""
+            sentences.append(f"{row['hypothesis']}, {row['subject']}{where}: k = {k}; {said}.")
         if self.left_out:
             sentences.append(f"Left out of the conclusion: {', '.join(self.left_out)}.")
         sections = {
@@ -173,6 +179,10 @@ class AnalysisResult(Shown):
 
     def _verdict(self) -> list[str]:
         goal = None if self.plan is None else self.plan.goal
+        if self.ratio is not None and isinstance(goal, Contrast):
+            verdict = goal.verdict_of_ratio(self.ratio.lower, self.ratio.upper)
+            said = str(self.ratio)
+            return [f"{said[0].upper()}{said[1:]}; {verdict}."]
         if len(self.log_evidence) > 1:
             best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
             log_factor = self.log_bayes_factor(best)
@@ -371,6 +381,12 @@ class Plan(Shown):
         first = self.hypotheses[0]
         check_task(first.task)
         goal_for(self.hypotheses, self.goal)
+        if bool(self.scheme.conditions) != isinstance(self.goal, Contrast):
+            raise Refusal(
+                "Two conditions go with a goal of their own",
+                f"conditions {list(self.scheme.conditions)} and {self.goal}",
+                "write goal=ww.design.Contrast(ratio=1.3) and conditions=['control', 'drug']",
+            )
         if self.together and self.scheme.animals < 2:
             raise Refusal(
                 "One animal cannot be fitted together with others", remedy="give two or more"
@@ -401,7 +417,8 @@ class Plan(Shown):
     @property
     def sessions(self) -> int:
         """Sessions of each animal."""
-        return sessions_needed(self.scheme.cells(), self.trials_per_session)[0]
+        each = sessions_needed(self.scheme.cells(), self.trials_per_session)[0]
+        return each * max(len(self.scheme.conditions), 1)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -495,8 +512,37 @@ class Plan(Shown):
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         check_answers(trials, self.hypotheses[0].task, self.scheme.animals, self.animals)
         self._check_unit(trials, unit)
+        if self.scheme.conditions:
+            return self._in_conditions(trials, unit, check)
         result = analyse(trials, self.hypotheses, together=self.together, unit=unit, check=check)
         return replace(result, plan=self)
+
+    def _in_conditions(self, trials: Trials, unit: float, check: bool) -> AnalysisResult:
+        """Each condition fitted by itself, and the ratio of the Weber fractions."""
+        names, first = self.scheme.conditions, self.hypotheses[0]
+        given = [str(c) for c in trials.frame.get("condition", pd.Series(dtype=str)).unique()]
+        if {*given} != {*names}:
+            raise Refusal(
+                f"{trials.source}: the plan compares the conditions {' and '.join(names)}",
+                checks.listed(given) if given else "no column 'condition'",
+                "write in it in which each trial was run",
+            )
+        by_name = {name: trials.select(condition=name) for name in names}
+        parts = [analyse(one, [first], unit=unit, check=check) for one in by_name.values()]
+        tables = [
+            part.estimates.assign(condition=name)
+            for name, part in zip(names, parts, strict=True)
+        ]  # fmt: skip
+        left_out = tuple(sorted({s for part in parts for s in part.left_out}))
+        frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
+        scaled = replace(trials, frame=frame)
+        evidence = {first.name: sum(part.log_evidence[first.name] for part in parts)}
+        ratio = None
+        if len(left_out) < max(len(trials.subjects), 1):
+            ratio = ratio_of(first, scaled, names, left_out)
+        fits = [fit for part in parts for fit in part.fits]
+        estimates = pd.concat(tables, ignore_index=True)
+        return AnalysisResult(estimates, evidence, left_out, scaled, fits, self, ratio)
 
     def _line(self) -> str:
         scheme = self.scheme
@@ -520,7 +566,8 @@ class Plan(Shown):
             return ""
         trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
         compared = len(self.hypotheses) > 1
-        apart = not (compared or self.together or animals == 1)
+        one_result = compared or self.together or bool(self.scheme.conditions)
+        apart = not (one_result or animals == 1)
         whose = f" of their {self.animals.subjects}" if apart else ""
         each = [
             f"{share_in_words(row)}{whose}" + f" if {row['truth']} is true" * compared

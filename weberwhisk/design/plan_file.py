@@ -26,7 +26,7 @@ from ..behaviour.priors import Priors
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
 from ..whisker import Whisker
-from .goals import Evidence, Goal, Precision
+from .goals import Contrast, Evidence, Goal, Precision
 from .hypotheses import ONE_STIMULUS, Hypothesis, SubjectPopulation
 from .magnitude import Magnitude
 from .plan import Plan
@@ -54,7 +54,7 @@ CHOICES: dict[type, tuple[type, ...]] = {
         encodings.ConstantNoise, PowerNoise, FlooredNoise,
     ),
     receptors.ReceptorNoise: (receptors.Weber, receptors.GeneralisedWeber, receptors.Joint),
-    Goal: (Evidence, Precision),
+    Goal: (Contrast, Evidence, Precision),
 }  # fmt: skip
 CLASSES: dict[str, type] = {
     kind.__name__: kind
@@ -69,7 +69,7 @@ CLASSES: dict[str, type] = {
 SKIPPED = {"prior", "tolerance", "_filled", "power"}
 FORMAT, VERSION = "weberwhisk plan", 3
 #: Fields that a plan of version 2 lacks: it was of animals, and of radial distances.
-SINCE_3 = {"magnitude", "subject"}
+SINCE_3 = {"magnitude", "subject", "conditions"}
 AGAIN = "write the plan again with `weberwhisk design`"
 
 
@@ -419,12 +419,23 @@ def preregistration(plan: Plan) -> str:
     analysis = " ".join(f"{name}: {text}" for name, text in fitted.items())
     if len({*fitted.values()}) == 1:
         analysis = fitted[given[0].name]
+    in_each = ""
+    if scheme.conditions:
+        first, second = scheme.conditions
+        opening = f"Is the Weber fraction k in {second} another than in {first}"
+        in_each = f" in each of the conditions {first} and {second}, which alternate by session"
+        analysis += (
+            f" So it is in either condition. The ratio of the two k is the same for all "
+            f"{animals.subjects}; each has a k, biases and lapses of its own, which are integrated "
+            "over (Plan.analyse)."
+        )
     over = "" if plan.together or number == 1 else f", multiplied over {animals.subjects}"
     sections = {
         "Question and hypotheses": f"{opening}? {encoded}. Each compares two noisy signals, whose "
         "sds go with k.",
         "Design": f"Task: {task}, {question}. Method of constant stimuli. Standards and "
-        f"comparisons: {levels}. Every pair is shown {times} times to each {animals.subject}: "
+        f"comparisons: {levels}. Every pair is shown {times} times to each {animals.subject}"
+        f"{in_each}: "
         f"{animals.counted(number)}, {scheme.n_trials} trials each, in "
         f"{counted(plan.sessions, 'session')} of at most {plan.trials_per_session}.",
         "Order of trials": f"Trials are randomised within blocks that hold every {unit} equally "

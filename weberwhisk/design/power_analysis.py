@@ -17,7 +17,7 @@ from .._util import campaign, checks, output
 from .._util.refusals import Refusal, argument
 from .._util.values import Shown, interval_text, paragraphs
 from ..behaviour.states import States
-from .goals import Goal, goal_for
+from .goals import Contrast, Goal, goal_for
 from .hypotheses import Hypothesis, SubjectPopulation
 from .scheme import Scheme, sized
 from .simulation import experiments
@@ -67,7 +67,8 @@ class Power(Shown):
                     f"{row['animals']} × {row['trials']} trials a comparison: the goal is reached "
                     f"in {share_in_words(row)} of {row['runs']} runs, {_met(row, self.goal.share)}"
                     f"{wrong}.",
-                    f"The 95 % interval of k is ±{100 * row['half_width']:.2g} % in the median and "
+                    f"The 95 % interval of {self.goal.quantity} is "
+                    f"±{100 * row['half_width']:.2g} % in the median and "
                     f"covers the truth in {100 * row['coverage']:.3g} %; the median estimate is "
                     f"{100 * row['bias']:+.2g} % off.",
                 ]
@@ -176,6 +177,8 @@ def power(
     ]
     for h in given:  # refused here, in one sentence, not in a worker
         h.model(scheme)
+    if isinstance(aim, Contrast) and states is not None:
+        raise Refusal("two conditions are compared without states", "states", "leave them out")
     if states is not None:
         checks.kind("states", states, "States", "drawn", "write ww.behaviour.States(engaged=0.7)")
         if together and max(sizes[1]) > 1:

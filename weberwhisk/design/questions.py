@@ -20,7 +20,7 @@ from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..inference.observer import Observer
 from ..whisker import Whisker
-from .goals import Evidence, Goal, Precision
+from .goals import Contrast, Evidence, Goal, Precision
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, noises, taper
 from .magnitude import DISTANCE, Magnitude, magnitude_named, magnitude_of
 from .plan import Plan
@@ -31,7 +31,7 @@ from .scheme_search import best_scheme
 
 __all__ = ["plan_experiment"]
 
-QUESTIONS = ("whiskers", "weber-law", "precision")
+QUESTIONS = ("whiskers", "weber-law", "precision", "conditions")
 
 
 def plan_experiment(
@@ -40,6 +40,7 @@ def plan_experiment(
     magnitude: Magnitude | str | None = None,
     question: str | None = None,
     rival: str | None = None,
+    conditions: Sequence[str] = (),
     goal: Goal | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
     cue: Cue | None = None,
@@ -74,15 +75,19 @@ def plan_experiment(
     magnitude : Magnitude or str, optional
         What is compared, where it is no distance along a whisker: "duration", say. Standards are
         in its unit then, and there is no whisker.
-    question : {"whiskers", "weber-law", "precision"}, optional
+    question : {"whiskers", "weber-law", "precision", "conditions"}, optional
         What the experiment is to find: whether distance is sensed through the tapered whisker or a
         cylinder, whether noise grows with the signal (Weber's law) or is constant, or k to a
         precision. By default what the goal is about: "precision" for an interval, else "whiskers",
         or of another magnitude "weber-law".
     rival : str, optional
         Of Weber's law: "constant" noise by default, "exponent:0.5" or "floor:20" (see `rivals`).
+    conditions : sequence of str
+        Two conditions, such as ["saline", "drug"], in which k is compared; they alternate by
+        session.
     goal : Goal, optional
-        By default a Bayes factor above 10, or for a precision a 95 % interval of k within ±20 %, in
+        By default a Bayes factor above 10, for a precision a 95 % interval of k within ±20 %, for
+        two conditions an interval of the ratio of their k that leaves out 1 where it is 1.3; in
         80 % of experiments.
     hypotheses : sequence of Hypothesis, optional
         As they will be fitted, the expected one first, in place of a question.
@@ -143,8 +148,12 @@ def plan_experiment(
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     if question is not None:
         checks.one_of("question", question, QUESTIONS)
-    usual = Precision(0.2) if question == "precision" else Evidence(10.0)
-    called = "animal" if of.is_distance else "subject"
+    if conditions and question is None:
+        question = "conditions"
+    usual: Goal = {"precision": Precision(0.2), "conditions": Contrast(1.3)}.get(
+        question or "", Evidence(10.0)
+    )
+    called = "animal" if of.is_distance or animals != 1 else "subject"
     aim, likely = goal or usual, expected or SubjectPopulation(subject=called)
     if people is not None:
         if animals != 1:
@@ -184,6 +193,7 @@ def plan_experiment(
             f"The question {topic!r} is not answered by {aim}",
             remedy=(
                 "write ww.design.Precision(half_width=0.2) for a precision, "
+                "ww.design.Contrast(ratio=1.3) for two conditions, "
                 "ww.design.Evidence(bayes_factor=10) for the others"
             ),
         )
@@ -226,12 +236,14 @@ def plan_experiment(
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
             magnitude=of,
         )  # fmt: skip
+    if conditions:
+        scheme = replace(scheme, conditions=tuple(conditions))
     settings |= {
         "hypotheses": given, "animals": likely, "trials_per_session": trials_per_session,
         "longest_run": longest_run, "title": title,
     }  # fmt: skip
     # Refuses what cannot be shown before anything is computed.
-    Plan(scheme, **settings, together=bool(together))
+    Plan(scheme, **settings, together=bool(together))  # conditions are never fitted together
     options: dict[str, Any] = {
         "goal": aim, "expected": likely, "runs": runs, "workers": workers, "scheduler": scheduler,
         "progress": progress, "together": together is not False, "seed": seed,
@@ -247,7 +259,7 @@ def plan_experiment(
         table = power(scheme, given, trials=sizes, **options).table
     if together is None:
         k_is_fixed = any(h.priors.is_fixed("weber_fraction") for h in given)
-        together = scheme.animals > 1 and not k_is_fixed
+        together = scheme.animals > 1 and not (k_is_fixed or scheme.conditions)
     return Plan(scheme, **settings, together=together, power=table)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,10 @@ import pandas as pd
 
 from .._util import campaign, checks
 from ..behaviour.simulate import simulate_responses
-from .plan import Plan
+from ..behaviour.trials import STIMULI, Trials
+from .goals import Contrast
+from .hypotheses import Hypothesis
+from .plan import AnalysisResult, Plan
 from .plan_file import plan_json
 from .power_analysis import Power, summary
 
@@ -83,17 +87,60 @@ def simulate_study(
     return Power(plan.goal, summary(table, plan.goal), table)
 
 
+def _answered(
+    plan: Plan, truth: Hypothesis, animals: pd.DataFrame, seed: np.random.SeedSequence
+) -> Trials:
+    """What animals answer to a plan's lists; in either condition with a k of their own."""
+    of, lists = plan.magnitude, plan.trials
+    if not of.is_distance:  # these are read in metres
+        lists = lists.rename(columns={of.column(name): name for name in STIMULI})
+    if isinstance(plan.goal, Contrast):
+        # Another k in another condition is another animal here.
+        first = plan.scheme.conditions[0]
+        second = np.where(lists["condition"] == first, 0, 1)
+        factor = plan.goal.ratio ** np.array([-0.5, 0.5])
+        apart = [
+            animals.assign(
+                subject=[f"{s} {j}" for s in animals["subject"]],
+                weber_fraction=animals["weber_fraction"] * factor[j],
+            )
+            for j in range(2)
+        ]
+        named = [f"{s} {j}" for s, j in zip(lists["subject"], second, strict=True)]
+        lists, animals = lists.assign(subject=named), pd.concat(apart)
+    answers = simulate_responses(
+        lists, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task, seed=seed
+    )
+    columns = {name: plan.trials[name].to_numpy() for name in ("subject", "condition")
+               if name in plan.trials}  # fmt: skip
+    return replace(answers, frame=answers.frame.assign(**columns))
+
+
+def _of_contrast(plan: Plan, result: AnalysisResult, chunk: dict[str, Any]) -> pd.DataFrame:
+    """A row of `Power.runs` of two conditions."""
+    goal, found = plan.goal, result.ratio
+    assert isinstance(goal, Contrast)
+    assert found is not None
+    return pd.DataFrame([{
+        "truth": chunk["truth"], "run": chunk["run"],
+        "trials": max(map(max, plan.scheme.trials)), "animals": plan.scheme.animals,
+        "weber_fraction": goal.ratio, "estimate": found.median, "log_bayes_factor": np.inf,
+        "half_width": (found.upper - found.lower) / (2 * found.median),
+        "covers": found.lower <= goal.ratio <= found.upper,
+        "lower": found.lower, "upper": found.upper,
+    }])  # fmt: skip
+
+
 def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence, plan: Plan) -> pd.DataFrame:
     """One experiment, from animals to conclusion: a row of `Power.runs`."""
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
     animals["bias"] += truth.usual_bias
-    answers = simulate_responses(
-        plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
-        seed=of_answers,
-    )  # fmt: skip
+    answers = _answered(plan, truth, animals, of_answers)
     result = plan.analyse(answers, check=False)
+    if isinstance(plan.goal, Contrast):
+        return _of_contrast(plan, result, chunk)
     estimates = result.of(truth.name)
     half_width = (estimates["upper"] - estimates["lower"]) / (2 * estimates["weber_fraction"])
     k: Any = pd.Series(plan.animals.weber_fraction, estimates.index)

@@ -48,6 +48,8 @@ class Scheme(Fields):
         Or people.
     magnitude : Magnitude
         What the stimuli are.
+    conditions : sequence of str
+        Two conditions that are compared: all of this in each of them.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class Scheme(Fields):
     trials: tuple[tuple[int, ...], ...]
     animals: int = 1
     magnitude: Magnitude = DISTANCE
+    conditions: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -74,7 +77,15 @@ class Scheme(Fields):
         trials: int | Sequence[Any] = 20,
         animals: int = 1,
         magnitude: Magnitude = DISTANCE,
+        conditions: Sequence[str] = (),
     ) -> None:
+        named_apart = tuple(checks.several("conditions", conditions, "write ['control', 'drug']"))
+        if len(named_apart) not in (0, 2) or len({*named_apart}) < len(named_apart):
+            raise Refusal(
+                "two conditions are compared, by names of their own",
+                checks.listed(named_apart),
+                "write ['control', 'drug'], say",
+            )
         hint = 'write ww.design.Magnitude("weight", "g"), say'
         checks.kind("magnitude", magnitude, "a Magnitude", "per_unit", hint)
         at = _standards(standards)
@@ -107,6 +118,7 @@ class Scheme(Fields):
         set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
         set_(self, "animals", int(animals))
         set_(self, "magnitude", magnitude)
+        set_(self, "conditions", tuple(str(name) for name in named_apart))
         if self.total_trials > MOST_TRIALS:
             raise Refusal(
                 f"an experiment may have up to {MOST_TRIALS} trials",
@@ -176,8 +188,8 @@ class Scheme(Fields):
 
     @property
     def n_trials(self) -> int:
-        """Trials of one animal."""
-        return sum(map(sum, self.trials))
+        """Trials of one animal, in all conditions."""
+        return sum(map(sum, self.trials)) * max(len(self.conditions), 1)
 
     @property
     def total_trials(self) -> int:
@@ -210,7 +222,9 @@ class Scheme(Fields):
 
     def with_trials(self, trials: int) -> Scheme:
         """The same levels with so many trials each."""
-        return Scheme(self.standards, self.offsets, trials, self.animals, self.magnitude)
+        return Scheme(
+            self.standards, self.offsets, trials, self.animals, self.magnitude, self.conditions
+        )
 
     def with_animals(self, animals: int) -> Scheme:
         """The same for so many animals."""
@@ -224,7 +238,10 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     most = max(map(max, scheme.trials))
     checks.whole("trials", size, "write 20")
     counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
-    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals, scheme.magnitude)
+    return Scheme(
+        scheme.standards, scheme.offsets, counts, scheme.animals, scheme.magnitude,
+        scheme.conditions,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)

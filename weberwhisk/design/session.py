@@ -110,10 +110,28 @@ def trial_lists(
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
         animal_seed = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
         rng = np.random.default_rng(animal_seed)
-        lists[f"s{i + 1}"] = _of_animal(
-            levels, scheme.magnitude, trials_per_session, longest_run, one_stimulus, rng
-        )
+        of_conditions = [
+            _of_animal(levels, scheme.magnitude, trials_per_session, longest_run, one_stimulus, rng)
+            for _ in scheme.conditions or ("",)
+        ]
+        lists[f"s{i + 1}"] = _alternating(of_conditions, scheme.conditions, i)
     return pd.concat(lists, names=["subject"]).reset_index(0).reset_index(drop=True)
+
+
+def _alternating(
+    lists: list[pd.DataFrame], conditions: tuple[str, ...], animal: int
+) -> pd.DataFrame:
+    """The lists of one animal with their conditions in sessions A B B A …, of the next B A A B."""
+    if not conditions:
+        return lists[0]
+    parts = []
+    for j, (condition, one) in enumerate(zip(conditions, lists, strict=True)):
+        before = one["session"] - 1
+        second = (before + animal + j) % 2
+        moved = one.assign(session=2 * before + 1 + second)
+        moved.insert(1, "condition", condition)
+        parts.append(moved)
+    return pd.concat(parts).sort_values(["session", "trial"], kind="stable", ignore_index=True)
 
 
 def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
@@ -308,7 +326,8 @@ def psychopy_tables(lists: pd.DataFrame, task: str = "2AFC") -> Iterator[tuple[s
 
 def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     """All trials in numbers alone, so that MATLAB's `readtable` or `readmatrix` takes them:
-    `standard_is` is 1 where stimulus 1, the first or left, is the standard, and 2 else.
+    `standard_is` is 1 where stimulus 1, the first or left, is the standard, and 2 else; conditions
+    are numbered by name.
 
     `trial_type` is that of Bpod's examples, 1 where left is right and 2 where right is: `T =
     readtable("bpod.csv"); TrialTypes = T.trial_type(T.subject == 1 & T.session == 3)';`
@@ -317,6 +336,8 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     if "standard_is" in table:
         second = table.pop("standard_is").isin([after for _, after in PLACES.values()])
         table["standard_is"] = np.where(second, 2, 1)
+    if "condition" in table:
+        table["condition"] = pd.factorize(table["condition"], sort=True)[0] + 1
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)
     table.insert(4, "trial_type", table.pop("greater"))
     return table

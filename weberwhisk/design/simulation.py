@@ -28,7 +28,8 @@ from ..behaviour.population import PopulationGrid, spread_nodes
 from ..behaviour.priors import Priors
 from ..behaviour.states import States
 from ..behaviour.trials import STIMULI, Trials
-from .goals import Goal
+from .conditions import contrast_experiments
+from .goals import Contrast, Goal
 from .hypotheses import Hypothesis, SubjectPopulation, options_of
 from .scheme import Scheme, sized
 
@@ -207,6 +208,8 @@ def experiments(
     """
     truth = next(h for h in hypotheses if h.name == chunk["truth"])
     scheme = sized(sized(scheme, "trials", chunk["trials"]), "animals", chunk["animals"])
+    if isinstance(goal, Contrast):
+        return contrast_experiments(chunk, seed, scheme, truth, animals, goal.ratio)
     rng = np.random.default_rng(seed)
     if states is not None:
         log_factor, fitted, k = _with_states(

@@ -204,7 +204,7 @@ def rehearsed(result: Power, ax: Axes | None = None) -> Axes:
     edge: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
     limit = goal.threshold / unit
     ax.axvline(limit, **edge, label="goal")
-    what = "Half-width of the interval of k (%)"
+    what = f"Half-width of the interval of {goal.quantity} (%)"
     if compared:
         what = "log$_{10}$ Bayes factor for the truth"
         ax.axvline(-limit, **edge, linestyle=":", label="the wrong way")
@@ -229,8 +229,11 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax)
     subjects = list(dict.fromkeys(result.estimates["subject"]))
     middle = (len(result.log_evidence) - 1) / 2
-    for i, name in enumerate(result.log_evidence):
-        estimates = result.of(name)
+    series = [(name, result.of(name)) for name in result.log_evidence]
+    if "condition" in result.estimates:
+        series = list(result.estimates.groupby("condition", sort=False))
+        middle = (len(series) - 1) / 2
+    for i, (name, estimates) in enumerate(series):
         ends = (estimates[column] for column in ("weber_fraction", "lower", "upper"))
         at = [subjects.index(s) + 0.15 * (i - middle) for s in estimates["subject"]]
         if isinstance(goal, Precision):
