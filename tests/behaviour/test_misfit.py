@@ -31,7 +31,7 @@ FOUR = [-0.3, -0.1, 0.1, 0.3]
 def animal(trouble: str) -> Trials:
     """An animal that the default observer does not describe."""
     more: dict[str, Any] = {
-        "MISFIT_STREAKS": {"states": States(engaged=0.6), "sessions": 3, "trials_per_level": 40},
+        "MISFIT_STREAKS": {"states": States(engaged=0.5), "sessions": 3, "trials_per_level": 40},
         "MISFIT_CURVE": {"standards": [1.0, 2.0], "bias": [1.2, -1.2], "trials_per_level": 50},
         "MISFIT_DRIFT": {"sessions": 6, "bias_drift": 1.5, "trials_per_level": 60},
         "PRIOR_DEPENDENT": {"offsets": [-0.12, 0.12], "trials_per_level": 300},

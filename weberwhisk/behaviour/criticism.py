@@ -15,15 +15,17 @@ from scipy.special import bdtr, ndtri
 from .._util.checks import generator, one_of
 from .._util.refusals import Advice, Refusal, argument, call
 from .._util.values import Array
-from .effects import Drift, Effect, History, Overdispersion, WinStay
-from .encodings import encoding_for
+from .directions import LOOKED_FOR
+from .effects import Effect
 from .estimates import Estimates, compared
+from .formula import Term
+from .likelihood import encoding_of
 from .predictive import Answers, is_near, summed, threshold
 from .priors import PARAMETERS, priors_for
 from .trials import STIMULI
 from .verdict import FitStatus, too_few_kinds
 
-__all__ = ["advice", "judged", "quantile_residuals", "residuals_by"]
+__all__ = ["advice", "judged", "quantile_residuals", "residuals_by", "unweighed"]
 
 
 def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
@@ -101,25 +103,50 @@ def _expected(fit: Estimates, rows: Answers) -> Array:
     return fit.model.by_row(fit.posterior.draws().thinned(1000), rows.cell)[0]
 
 
-#: What each misfit is seen by, the first that is there being the status.
+#: What each misfit is seen by, the first that is there being the status where no cause is found.
 SEEN_BY = {
     FitStatus.MISFIT_STREAKS: ("streaks",),
     FitStatus.MISFIT_HISTORY: ("repetition", "outcome"),
-    FitStatus.MISFIT_CURVE: ("levels",),
-    FitStatus.MISFIT_DRIFT: ("sessions", "trend"),
+    FitStatus.MISFIT_CURVE: (
+        "contraction", "exponent", "noise_by_order", "standard_second", "levels",
+    ),
+    FitStatus.MISFIT_DRIFT: ("sessions", "drift", "trend"),
     FitStatus.MISFIT_OVERDISPERSION: ("overdispersion",),
-}
+}  # fmt: skip
+#: Statuses that say why there is nothing to check.
+UNCHECKED = (
+    FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
+)  # fmt: skip
+
+
+def unweighed(fit: Estimates, status: FitStatus) -> FitStatus:
+    """The status of a fit once it is checked, from that before, whatever a misfit does to k."""
+    if status in (*UNCHECKED, FitStatus.GIVEN):
+        return status
+    fired = _fired(fit)
+    named = next((s for s, by in SEEN_BY.items() if fired.isin(by).any()), None)
+    return status if named is None else named
+
+
+def _fired(fit: Estimates) -> pd.Index:
+    """The checks that see a misfit."""
+    table = fit.checked
+    return table.index[table["p"] < threshold(table)]
+
+
+def _is_unexplained(fit: Estimates) -> bool:
+    """Whether a misfit is seen by more than the directions of effects, which have been tried."""
+    return fit.unweighed.is_misfit and not _fired(fit).isin([e.name for e in LOOKED_FOR]).all()
 
 
 def judged(
     fit: Estimates, status: FitStatus, notes: tuple[str, ...]
 ) -> tuple[FitStatus, tuple[str, ...]]:
-    """The status of a fit once it is checked, and sentences beside it; from those before."""
+    """The status of a fit once it is checked and what the checks see is weighed, and sentences
+    beside it; from those before."""
     of_table = dict.fromkeys((*fit.trials.notes, fit.trials.course.note))
     notes = (*filter(None, of_table), *notes)
-    if status in (
-        FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
-    ):  # fmt: skip
+    if status in UNCHECKED:
         return status, notes
     table = fit.checked
     at = threshold(table)
@@ -129,12 +156,27 @@ def judged(
         if is_near(p, at):
             notes = (*notes, f"The check {name} is near its threshold, {at:.2g}, with p = {p:.2g}: "
                      "more trials are needed to say whether the model holds.")  # fmt: skip
-    named = next((s for s, by in SEEN_BY.items() if fired.index.isin(by).any()), None)
-    if named is not None and status is not FitStatus.GIVEN:
-        return named, notes
+    by_checks = unweighed(fit, status)
+    if by_checks.is_misfit:
+        cause = fit.search.chosen
+        if cause is None:
+            notes = (*notes, _NO_CAUSE)
+            if _is_unexplained(fit):
+                return by_checks, notes
+        elif _is_unexplained(cause.fit):
+            return cause.causes[0].status, (*notes, _NOT_ALL)
+        elif fit.search.matters:
+            return cause.causes[0].status, notes
     if status is FitStatus.DETERMINED and (too_few_kinds(fit.model) or _moved_by_beliefs(fit)):
         return FitStatus.PRIOR_DEPENDENT, notes
     return status, notes
+
+
+_NO_CAUSE = "None of the causes that were tried has strong evidence."
+_NOT_ALL = (
+    "With what the answers show the checks still see a misfit, and it is not known how much the "
+    "rest matters for the Weber fraction."
+)
 
 
 def _moved_by_beliefs(fit: Estimates) -> bool:
@@ -166,38 +208,16 @@ def _in_words(fit: Estimates, name: str, row: pd.Series) -> str:
 
 def advice(fit: Estimates) -> str | None:
     """What to write next where the model does not hold, or hangs on beliefs."""
-    several = len(fit.trials.sessions) > 1
-    fewer: str = "look for what changed within the session"
-    if several:
-        last = call("trials.select", argument("session", fit.trials.sessions[-1]))
-        fewer = "take fewer sessions at once, " + last
-    if fit.status is FitStatus.MISFIT_STREAKS:
-        new = several and "drift" not in fit.effects
-        either = " and " + _with(fit, Drift()) if new else ""
-        best = ", and keep the fit with the greatest log_evidence."
-        return "Nothing yet: first " + _with(fit, states=3) + either + best
-    if fit.status is FitStatus.MISFIT_HISTORY:
-        missing = [e for e in (History(), WinStay()) if e.name not in fit.effects]
-        return Advice.joined(
-            "", ["Nothing yet: first ", _with(fit, *missing) if missing else fewer, "."]
-        )
-    if fit.status is FitStatus.MISFIT_DRIFT:
-        new = several and "drift" not in fit.effects
-        return Advice.joined(
-            "", ["Nothing yet: first ", _with(fit, Drift()) + ", or " if new else "", fewer, "."]
-        )
-    if fit.status is FitStatus.MISFIT_OVERDISPERSION:
-        new = fit.model.n_states == 1 and fit.model.dispersed is None
-        return Advice.joined(
-            "", ["Nothing yet: first ", _with(fit, Overdispersion()) if new else fewer, "."]
-        )
-    if fit.status is FitStatus.MISFIT_CURVE:
-        model = fit.model
-        if model.task.has_bias and fit.bias != "per standard" and fit.standards.size > 1:
-            return "Nothing yet: first " + _with(fit, bias="per standard") + "."
-        if fit.noise == "weber":
-            return "Nothing yet: first " + _with(fit, noise="equal-variance") + ", or an encoding."
-        return Advice.joined("", ["Nothing yet: first ", fewer, "."])
+    remark = fit.unweighed.is_misfit and not fit.status.ok and fit.search.chosen is not None
+    if fit.status.is_misfit or remark:
+        cause = fit.search.chosen
+        if cause is None or _is_unexplained(cause.fit):
+            return Advice.joined("", ["Nothing yet: first ", _to_look_at(fit), "."])
+        bias = {"bias": cause.fit.bias} if cause.fit.bias != fit.bias else {}
+        n_states = cause.fit.model.n_states
+        states = {"states": n_states} if n_states != fit.model.n_states else {}
+        effects = [effect for one in cause.causes for effect in one.effects]
+        return "Nothing yet: first " + _with(fit, *effects, **bias, **states) + "."
     if fit.status is FitStatus.PRIOR_DEPENDENT:
         return (
             "Easy comparisons, further from the standard than any so far: they alone determine the "
@@ -208,22 +228,32 @@ def advice(fit: Estimates) -> str | None:
     return None
 
 
+def _to_look_at(fit: Estimates) -> str:
+    """What to look at where no cause explains a misfit."""
+    if len(fit.trials.sessions) > 1:
+        last = call("trials.select", argument("session", fit.trials.sessions[-1]))
+        return "look at the sessions one by one, " + last
+    formula = argument("effects", ["k ~ condition"])
+    return "look for what changed between the trials; a column that says it goes in as " + formula
+
+
 def _with(fit: Estimates, *more: Effect, **changed: Any) -> Advice:
     """The same fit with more effects or another option, as one would write it."""
-    effects = [*fit.model.effects, *more]
-    names = dict.fromkeys(type(effect).__name__ for effect in effects)
+    effects = [*{e.typed: e for e in (*fit.model.effects, *more)}.values()]
+    names = dict.fromkeys(type(e).__name__ for e in effects if not isinstance(e, Term))
     usual = {"bias": "shared" if fit.model.task.has_bias else "none", "noise": "weber", "states": 1}
     options = {"bias": fit.bias, "noise": fit.noise, "states": fit.model.n_states} | changed
     given = [argument("effects", effects)] if effects else []
     given += [argument(name, value) for name, value in options.items() if value != usual[name]]
-    imported = f", with from weberwhisk.behaviour.effects import {', '.join(names)}"
+    module = "weberwhisk.behaviour.effects"
+    imported = f", with from {module} import {', '.join(names)}"
     return call("fit_weber", "trials", *given, also=imported * bool(names)) + _kept(fit)
 
 
 def _kept(fit: Estimates) -> str:
     """What else such a fit takes from this one, where this one has it of its own."""
     model, trials = fit.model, fit.trials
-    usual = encoding_for(trials.scale, trials.log_unit, fit.noise)
+    usual = encoding_of(trials, None, None, fit.noise)
     effects = {effect.name: effect.prior for effect in model.effects}
     believed = priors_for(None, model.cells, trials.unit_known, model.task, effects)
     changed = [believed.words(n) != model.priors.words(n) for n in (*PARAMETERS, *effects)]

@@ -1,15 +1,16 @@
 """What else may move an animal's answers: each effect one parameter, one short class.
 
-An effect changes the two noisy signals of the plain observer; at 0 it changes nothing. Effects are
-applied in the order given. One that depends on more than the two stimuli (the session, the answer
-before) has a column, a number for each row of the table; trials that differ in it count apart.
+An effect changes the two noisy signals of the plain observer; at its null it changes nothing.
+Effects are applied in the order given. One that depends on more than the two stimuli (the session,
+the answer before) has a column, a number for each row of the table; trials that differ in it count
+apart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -22,9 +23,9 @@ from .encodings import Encoding, Signals, UnitEncodings
 from .trials import STIMULI, Trials, needs_order, needs_rows, needs_standards, sessions_of
 
 __all__ = [
-    "EFFECTS", "Contraction", "Covariate", "Drift", "Effect", "Exponent", "Floor", "History",
-    "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "TrialBefore", "WinStay",
-    "check_effects", "check_valued", "effect_named", "effect_valued",
+    "EFFECTS", "BiasDrift", "Contraction", "Covariate", "Drift", "Effect", "Exponent", "Floor",
+    "History", "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "TrialBefore",
+    "WinStay", "check_effects", "check_valued", "effect_named", "effect_valued", "is_formula",
 ]  # fmt: skip
 
 
@@ -32,10 +33,15 @@ class Effect:
     """A change of the observer with one parameter; by default with no scale and no column.
 
     `name` is that of the parameter, `prior` its frozen SciPy distribution or, if known, a number.
+    At `null` it changes nothing. `is_scale_free` says that it adds a shift, or multiplies sds by
+    what goes with its column alone: pairs of stimuli that are alike by Weber's law stay so, and the
+    fit is quicker.
     """
 
     name: str
     prior: rv_frozen | float | None
+    null: ClassVar[float] = 0.0
+    is_scale_free: ClassVar[bool] = False
 
     @property
     def typed(self) -> str:
@@ -67,6 +73,7 @@ class Effect:
 # One object each: the table of its quantiles is made once (see `priors.quantiles`).
 _PRIORS = {
     "drift": stats.norm(0.0, 0.5),
+    "bias_drift": stats.norm(0.0, 0.7),
     "overdispersion": stats.beta(1.0, 15.0),
     "contraction": stats.norm(0.0, 0.3),
     "noise_by_order": stats.norm(0.0, 0.7),
@@ -95,6 +102,7 @@ class Drift(Effect, Fields):
 
     prior: rv_frozen | float = _PRIORS["drift"]
     name: str = "drift"
+    is_scale_free: ClassVar[bool] = True
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         sessions, place = sessions_of(trials, "Drift")
@@ -103,6 +111,41 @@ class Drift(Effect, Fields):
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         factor = np.exp(value * column)
         return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BiasDrift(Effect, Fields):
+    """A bias that drifts: it changes by `bias_drift` from the first trial to the last.
+
+    Linear in the place of the row, in ten steps; in sds of the difference. The shared bias is
+    that in the middle of the course.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(effects=[(BiasDrift(), 1.5)], seed=1)
+    >>> low, high = fit_weber(trials, effects=[BiasDrift()]).interval(parameter="bias_drift")
+    >>> 0 < low < 1.5 < high
+    True
+    """
+
+    prior: rv_frozen | float = _PRIORS["bias_drift"]
+    name: str = "bias_drift"
+    is_scale_free: ClassVar[bool] = True
+    steps: ClassVar[int] = 10
+
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
+        if not trials.task.has_bias:
+            raise Refusal(
+                f"{trials.task.name} has no response bias that could drift",
+                remedy="leave BiasDrift out",
+            )
+        needs_rows(trials, "BiasDrift")
+        place = np.arange(len(trials.frame)) / max(len(trials.frame), 1)
+        return np.floor(self.steps * place) / (self.steps - 1) - 0.5
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,6 +198,7 @@ class Exponent(Effect, Fields):
 
     prior: rv_frozen | float = _PRIORS["exponent"]
     name: str = "exponent"
+    null: ClassVar[float] = 1.0
     typical: float | None = None
 
     def bound(self, encodings: UnitEncodings, n: Array) -> Exponent:
@@ -219,6 +263,7 @@ class StandardSecond(Effect, Fields):
 
     prior: rv_frozen | float = _PRIORS["standard_second"]
     name: str = "standard_second"
+    is_scale_free: ClassVar[bool] = True
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, "StandardSecond")
@@ -290,6 +335,7 @@ class SessionBias(Effect, Fields):
 
     prior: rv_frozen | float = _PRIORS["session_bias"]
     name: str = "session_bias"
+    is_scale_free: ClassVar[bool] = True
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         if not trials.task.has_bias:
@@ -342,6 +388,8 @@ class TrialBefore(Effect):
     >>> from weberwhisk import simulate_trials
     >>> trials = simulate_trials(trials_per_level=1, effects=[(RewardBias(), 0.3)], seed=1)
     """
+
+    is_scale_free: ClassVar[bool] = True
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, type(self).__name__)
@@ -424,6 +472,7 @@ class Covariate(Effect, Fields):
     of: str
     on: str = "bias"
     prior: rv_frozen | float = _PRIORS["shift"]
+    is_scale_free: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         checks.one_of("on", self.on, ("bias", "weber_fraction"))
@@ -479,7 +528,7 @@ EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         Floor(), Exponent(), Contraction(), NoiseByOrder(), StandardSecond(), History(),
-        WinStay(), Drift(), SessionBias(), Overdispersion(),
+        WinStay(), Drift(), SessionBias(), BiasDrift(), Overdispersion(),
     )
 }  # fmt: skip
 

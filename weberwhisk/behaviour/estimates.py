@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,24 @@ from .tasks import SignedChoice
 from .trials import STIMULI, Trials, needs_standards, sessions_of
 from .verdict import FitStatus, lapse_sensitivity
 
-__all__ = ["Estimates", "by_session", "check_fit", "compared", "tails"]
+__all__ = ["Estimates", "Explanation", "by_session", "check_fit", "compared", "tails"]
+
+
+class Explanation(Protocol):
+    """What may be behind a misfit: `weberwhisk.behaviour.causes.Search`.
+
+    `chosen` are the causes with strong evidence, with the fit that has them, or None; `matters`
+    says whether they move k, and `sentence` how far.
+    """
+
+    @property
+    def chosen(self) -> Any: ...
+    @property
+    def matters(self) -> bool: ...
+    @property
+    def sentence(self) -> str: ...
+    @property
+    def table(self) -> pd.DataFrame: ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,6 +78,16 @@ class Estimates(Shown):
     @property
     def checked(self) -> pd.DataFrame:
         """What `predictive.checks` finds; the fit has it too."""
+        raise NotImplementedError
+
+    @property
+    def unweighed(self) -> FitStatus:
+        """The status once checked, whatever a misfit does to k; the fit has it too."""
+        raise NotImplementedError
+
+    @property
+    def search(self) -> Explanation:
+        """What may be behind a misfit; the fit has it too."""
         raise NotImplementedError
 
     @property
@@ -346,7 +373,15 @@ class Estimates(Shown):
             k = f"k = {interval_text(self.weber_fraction, *self.interval())}"
         unit = f" {self.unit}" if self.unit else ""
         many = counted(self.trials.n_trials, "trial")
-        return f"{k}{unit}; {many}, {self.method}; {self.status.name}"
+        return f"{k}{unit}; {many}, {self.method}; {self.status.name}{self._with_cause}"
+
+    @property
+    def _with_cause(self) -> str:
+        """Behind a misfit, its cause and k with it."""
+        if not self.status.is_misfit or (cause := self.search.chosen) is None:
+            return ""
+        k = interval_text(cause.fit.weber_fraction, *cause.fit.interval())
+        return f"; with {cause.name} k = {k}"
 
 
 def check_fit(fit: object, name: str = "fit") -> None:

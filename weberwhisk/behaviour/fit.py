@@ -14,7 +14,7 @@ from .._util.output import to_json
 from .._util.refusals import Refusal, argument, named
 from .._util.sampling import ArvizData
 from .._util.values import Array, pd
-from . import criticism, predictive, report
+from . import causes, criticism, predictive, report
 from .arviz_data import observer_data
 from .effects import Effect
 from .encodings import NOISES, Encoding
@@ -70,6 +70,35 @@ class WeberFit(Estimates):
     def checked(self) -> pd.DataFrame:
         """What `weberwhisk.behaviour.predictive.checks` finds, a row a check."""
         return predictive.checks(self)
+
+    @cached_property
+    def search(self) -> causes.Search:
+        """What may be behind a misfit, tried cause by cause; see `causes`."""
+        return causes.search(self)
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """Causes of a misfit that this table can show, the best first.
+
+        Index `cause`; `log_evidence`; `log_bayes_factor` over this fit; `weber_fraction`, `lower`
+        and `upper` with the cause; `change`, how far it moves the median of ln k, in sds of this
+        fit; and `status` of the fit with it, empty where the evidence is not strong. Causes that
+        explain the answers together are a row, `contraction + session_bias`.
+
+        Examples
+        --------
+        >>> from weberwhisk import fit_weber, simulate_trials
+        >>> from weberwhisk.behaviour.effects import History
+        >>> fit = fit_weber(simulate_trials(effects=[(History(), 1.0)], seed=1))
+        >>> fit.causes.index[0], bool(fit.causes["log_bayes_factor"].iloc[0] > 5)
+        ('history', True)
+        """
+        return self.search.table
+
+    @cached_property
+    def unweighed(self) -> FitStatus:
+        """The status once checked: a misfit by the check that sees it, whatever it does to k."""
+        return criticism.unweighed(self, self._verdict[0])
 
     @cached_property
     def _verdict(self) -> tuple[FitStatus, tuple[str, ...]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -44,6 +44,7 @@ class Term(Effect, Fields):
     centre: float = 0.0
     scale: float = 1.0
     prior: rv_frozen | float = PRIOR
+    is_scale_free: ClassVar[bool] = True
 
     @property
     def name(self) -> str:  # type: ignore[override]

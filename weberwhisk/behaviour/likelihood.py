@@ -208,8 +208,8 @@ class WeberModel(Fields):
         if not self.encodings.has_spread:
             return d, weight
         sd = self.task.decision_sd(encoded)
-        known = sd / np.sqrt(sd**2 + np.asarray(self.encodings.spread, dtype=float))
-        return d * known, weight * known
+        share = sd / np.sqrt(sd**2 + np.asarray(self.encodings.spread, dtype=float))
+        return d * share, weight * share
 
     def lapses(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Asymptotes as the task sees them; `low` is ignored where the task has none."""
@@ -323,9 +323,29 @@ class WeberModel(Fields):
     def _sessions(self, draws: Draws) -> BiasedSessions:
         """The sessions, given draws of the rest."""
         assert self.by_session is not None
+        return BiasedSessions(
+            self._answers(draws), draws.effects[:, self.by_session, None], self._start(draws)
+        )
+
+    def _answers(self, draws: Draws) -> SessionAnswers:
         d, weight = self.decide(draws.weber_fraction, draws.effects)
-        answers = SessionAnswers(self, draws, d, weight, self._session, *self._sorted)
-        return BiasedSessions(answers, draws.effects[:, self.by_session, None])
+        return SessionAnswers(self, draws, d, weight, self._session, *self._sorted)
+
+    def _start(self, draws: Draws) -> Array:
+        """About where the bias of each session is, less the shared one, (N, S).
+
+        It is searched for one draw in the middle of all; what is perceived as equal is then the
+        same for all of them, so that biases go as one over the Weber fraction.
+        """
+        assert self.by_session is not None
+        k = np.exp(np.log(draws.weber_fraction).mean())
+        means = [values.mean(axis=0, keepdims=True) for values in draws.values]
+        middle = Draws(np.array([k]), *means[1:])
+        start = np.zeros((1, self._sorted[1].size))
+        for _ in range(3):
+            start = BiasedSessions(self._answers(middle), np.full((1, 1), 2.0), start).modes
+        total = middle.bias.mean() + start
+        return total * (k / draws.weber_fraction)[:, None] - draws.bias.mean(axis=1, keepdims=True)
 
     def session_deviations(self, draws: Draws, seed: int = 0) -> Array:
         """How far the bias of each session is from the shared one, drawn given the rest and all
@@ -387,30 +407,39 @@ class WeberModel(Fields):
     def merged(self) -> WeberModel:
         """The same likelihood with fewer cells: those that only differ in scale are one.
 
-        Under Weber's law every standard repeats the same few ratios. Effects and floors know the
-        scale, and leave the cells as they are. More than 200 are condensed to nodes, where the
-        decision variable is D/k for a number D of each cell; of measured places more than 1000.
+        Under Weber's law every standard repeats the same few ratios. Floors, and effects that are
+        not scale-free, know the scale and leave the cells as they are. More than 200 are condensed
+        to nodes, where the decision variable is D/k for a number D of each cell; of measured places
+        more than 1000.
         """
-        pairs, n, count, group = self.encodings, self.cells.n, self.cells.count, self.group
-        if self.effects or pairs.has_floor:
+        pairs, n, count = self.encodings, self.cells.n, self.cells.count
+        if pairs.has_floor or not all(effect.is_scale_free for effect in self.effects):
             return self
+        if self.effects and pairs.has_spread:
+            return self
+        labels = np.column_stack([self.group, *self.columns])
+        labels, kind = np.unique(labels, axis=0, return_inverse=True)
+        kind = kind.reshape(-1)
         if not pairs.has_spread:
             key = np.column_stack([(pairs.mean_2 - pairs.mean_1) / pairs.sd_1,
                                    pairs.sd_2 / pairs.sd_1])  # fmt: skip
-            rounded = np.column_stack([np.round(key, 11), group])
+            rounded = np.column_stack([np.round(key, 11), kind])
             _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
             same = same.reshape(-1)
             n, count = (np.bincount(same, a, first.size).astype(float) for a in (n, count))
             gap, ratio = key[first].T
             pairs = UnitEncodings(np.zeros(first.size), np.ones(first.size), gap, ratio)
-            group = group[first]
+            kind = kind[first]
         if n.size > (1000 if pairs.has_spread else 200) and (
             pairs.has_spread or self.task.is_difference
         ):
-            pairs, n, count, group = condensed(self.task.decision_sd, pairs, n, count, group)
+            pairs, n, count, kind = condensed(self.task.decision_sd, pairs, n, count, kind)
         unknown = np.full(n.size, np.nan)  # the stimuli of a node
         cells = Cells(unknown, unknown, unknown, n, count)
-        return replace(self, encodings=pairs, cells=cells, group=group)
+        group, columns = labels[kind, 0].astype(np.intp), labels[kind, 1:].T
+        if not self.effects:
+            columns = self.columns
+        return replace(self, encodings=pairs, cells=cells, group=group, columns=columns)
 
     def subset(self, standard: float) -> WeberModel:
         """The same observer seen at one standard alone."""

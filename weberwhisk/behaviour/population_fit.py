@@ -388,7 +388,9 @@ def _row(subject: Hashable, fit: WeberFit | None, check: bool) -> dict[str, Any]
         "alone": float(middle),
         "alone_lower": float(low),
         "alone_upper": float(high),
-        "status": ((fit.status if check else fit.unchecked) if fit else FitStatus.NO_TRIALS).name,
+        "status": (
+            (fit.unweighed if check else fit.unchecked) if fit else FitStatus.NO_TRIALS
+        ).name,
     }
 
 

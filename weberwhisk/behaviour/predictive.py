@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from .._util.checks import generator
 from .._util.values import Array, Flags, Index
+from .directions import directions
+from .effects import EFFECTS
 from .estimates import Estimates, check_fit
 from .likelihood import gather
 from .states import streaks
@@ -61,7 +63,9 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
         where the data have too much of it), `replicates`, how many data sets that is a share of,
         more where it is near the threshold of a verdict, and `remedy`. Checks: `levels`: squared
         residuals over pairs of stimuli. `overdispersion`: the intraclass correlation of the answers
-        to one pair in one session. `sessions`: squared residuals of whole sessions. `trend`:
+        to one pair in one session. `contraction`, `exponent`, `noise_by_order`, `standard_second`,
+        `drift`: residuals along what the effect of that name would change, where the table can show
+        it, in sds. `sessions`: squared residuals of whole sessions. `trend`:
         correlation of residuals with the course of trials. `repetition`: correlation of a residual
         with the one before; `outcome`: with the side that was right on the trial before, as when
         wins stay and losses shift. `streaks`: the log Bayes factor of two or three states (each as
@@ -74,7 +78,8 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
     >>> from weberwhisk import fit_weber, simulate_trials
     >>> table = checks(fit_weber(simulate_trials(sessions=4, seed=1)))
     >>> table.index.tolist()
-    ['levels', 'overdispersion', 'sessions', 'trend', 'repetition', 'outcome', 'streaks']
+    ['levels', 'overdispersion', 'sessions', 'exponent', 'noise_by_order', 'drift', 'trend',
+     'repetition', 'outcome', 'streaks']
     >>> bool((table["p"] > 0.001).all())
     True
     """
@@ -84,7 +89,7 @@ def checks(fit: Estimates, seed: int = 1) -> pd.DataFrame:
         return pd.DataFrame(columns=columns)
     # The answers of an observer without memory to one pair in a session are one count.
     counts = answers.merged() if fit.model.n_states == 1 else answers
-    of_counts = counts.of_counts()
+    of_counts = counts.of_counts() | counts.along(directions(fit))
     of_rows = answers.of_rows(fit.model.task.bias_name == "bias")
     with_states = _can_have_states(fit)
     at = FALSE_ALARMS / (len(of_counts) + len(of_rows) + with_states)
@@ -256,6 +261,14 @@ class Answers:
             out["sessions"] = Squares(self.session, "the effect Drift, or fewer sessions")
         return out
 
+    def along(self, by_name: dict[str, Array]) -> dict[str, Statistic]:
+        """Sums of residuals with the weights of effects, which are of the rows of the table."""
+        place = self.frame.index
+        return {
+            name: Direction(weight[place], f"the effect {type(EFFECTS[name]).__name__}")
+            for name, weight in by_name.items()
+        }
+
     def of_rows(self, is_choice: bool) -> dict[str, Statistic]:
         """Statistics of single answers in order; of the choice of a stimulus one more."""
         if self.follows is None or self.n.size <= 2:
@@ -317,6 +330,18 @@ class Intraclass:
     def of(self, off: Array, variance: Array) -> Array:
         squares = _squares(off, variance, self.group)
         return np.asarray((squares - 1).sum(axis=1) / max(self.more, 1.0))
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Sum of residuals with weights (R,), in its sds: the score of an effect."""
+
+    weight: Array
+    remedy: str
+    signed = True
+
+    def of(self, off: Array, variance: Array) -> Array:
+        return np.asarray(off @ self.weight)
 
 
 @dataclass(frozen=True)

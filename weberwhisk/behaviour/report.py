@@ -57,6 +57,8 @@ def _answer(fit: Estimates) -> list[str]:
     if fit.status is FitStatus.GIVEN:
         said = f"the Weber fraction was given: {fit.weber_fraction:.3g}"
     lines = [sentence(said)]
+    if fit.unweighed.is_misfit and fit.search.sentence:
+        lines.append(fit.search.sentence)
     if "weber_fraction" in fit.parameters:
         low, high = fit.interval()
         unit = f" {fit.unit}" if fit.unit else ""
@@ -200,6 +202,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
         "log_evidence": fit.log_evidence,
         "error": fit.posterior.error,
         "misfit": fit.misfit,
+        "causes": _causes(fit),
         "data": {
             "source": fit.trials.source,
             "n_trials": fit.trials.n_trials,
@@ -218,6 +221,13 @@ def as_dict(fit: Estimates) -> dict[str, object]:
         },
     }
     return dict(plain(described))
+
+
+def _causes(fit: Estimates) -> list[dict[Hashable, Any]]:
+    """Causes of a misfit, where checks see one."""
+    if not fit.unweighed.is_misfit:
+        return []
+    return fit.search.table.reset_index().to_dict("records")
 
 
 _NOISE = {

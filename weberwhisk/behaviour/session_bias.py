@@ -19,9 +19,10 @@ from .._util.values import Array
 __all__ = ["BiasedSessions", "Sessions", "chunks"]
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-STEPS = 3  # of scoring; the nodes make up for what is left
+STEPS = 2  # of scoring; the nodes make up for what is left
+FAR = 5.0  # sds, beyond which no mode is looked for
 NUDGE = 0.1  # of the deviation, for slope and curvature by differences
-AXIS = np.linspace(-6.0, 6.0, 49)  # of deviations to draw, in their sds about the mode
+AXIS = np.linspace(-5.0, 5.0, 25)  # of deviations to draw, in their sds about the mode
 AT_ONCE = 1_000_000  # numbers that are in memory together
 
 
@@ -39,31 +40,37 @@ class BiasedSessions:
     """Deviations of N draws of parameters in S sessions, from the answers of each session.
 
     `sd` (N, 1) is that of biases between sessions. Deviations are `sd` times a number that is a
-    standard normal before there are answers.
+    standard normal before there are answers; the search for its mode begins at deviations `start`
+    (N, S).
     """
 
     answers: Sessions
     sd: Array
+    start: Array
 
     @cached_property
     def _modes(self) -> tuple[Array, Array]:
         """Mode of each number, and the sd of the normal there; (N, S)."""
-        mode = np.zeros((len(self.sd), self.answers.sessions))
-        width = np.ones_like(mode)
-        for step in range(STEPS + 1):
-            at = self.sd * mode
+        sd = np.maximum(self.sd, 1e-9)
+        mode = np.clip(self.start / sd, -FAR, FAR)
+        for _ in range(STEPS):
+            at = sd * mode
             below, here, above = (
                 self.answers.log_likelihood(at + by) for by in (-NUDGE, 0.0, NUDGE)
             )
             slope = (above - below) / (2 * NUDGE)
             # Lapses may turn the curvature round: the prior is then left alone.
             curvature = np.maximum(2 * here - above - below, 0.0) / NUDGE**2
-            width = 1 / np.sqrt(1 + self.sd**2 * curvature)
-            if step < STEPS:
-                change = (self.sd * slope - mode) * width**2
-                limit = 1.0 / np.maximum(self.sd, 0.2)  # one sd of the signal at a time
-                mode = mode + np.clip(change, -limit, limit)
+            width = 1 / np.sqrt(1 + sd**2 * curvature)
+            change = (sd * slope - mode) * width**2
+            limit = 1.0 / np.maximum(sd, 0.2)  # one sd of the signal at a time
+            mode = mode + np.clip(change, -limit, limit)
         return mode, width
+
+    @property
+    def modes(self) -> Array:
+        """The most probable deviations, (N, S)."""
+        return self.sd * self._modes[0]
 
     def log_marginal(self) -> Array:
         """Log-probability of all answers, deviations integrated out, (N,)."""

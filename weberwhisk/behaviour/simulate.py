@@ -285,15 +285,15 @@ def responses(
     n = np.bincount(which, ~silent).astype(float)
     both = unit_encodings(encoding, pairs[:, 0], pairs[:, 1], pairs[:, 2], noise)
     bound = [(e.bound(both, n), value) for e, value in valued_effects(effects, trials)]
-    own = both.of(which)
-    scaled = UnitEncodings(
-        own.mean_1, weber_fraction * own.sd_1, own.mean_2, weber_fraction * own.sd_2, *own[4:]
+    unit = both.of(which)
+    of_rows = UnitEncodings(
+        unit.mean_1, weber_fraction * unit.sd_1, unit.mean_2, weber_fraction * unit.sd_2, *unit[4:]
     )
     columns = [e.column(trials, encoding) for e, _ in bound]
 
     def probability(before: float) -> Array:
         """Of the answer counted, after the other answer (-1), none (0), or itself (1)."""
-        encoded = scaled.encoded(1.0)
+        encoded = of_rows.encoded(1.0)
         for (effect, value), column in zip(bound, columns, strict=True):
             if isinstance(effect, TrialBefore):
                 column = effect.after(trials, before)
@@ -309,8 +309,8 @@ def responses(
                 _, cell = np.unique(keys, axis=0, return_inverse=True)
                 drawn = scatter[: len(frame)][cell.reshape(-1)]
                 size = 1 / value - 1
-                found = beta.ppf(drawn, p * size, (1 - p) * size)
-                p = np.where(np.isnan(found), p, found)  # none of it is left at 0 and 1
+                scattered = beta.ppf(drawn, p * size, (1 - p) * size)
+                p = np.where(np.isnan(scattered), p, scattered)  # none of it is left at 0 and 1
         return p
 
     scatter = rng.random(len(frame)) if effects else np.zeros(0)

@@ -81,6 +81,11 @@ class FitStatus(Enum):
         return self in (FitStatus.GIVEN, FitStatus.DETERMINED)
 
     @property
+    def is_misfit(self) -> bool:
+        """Whether the model does not hold."""
+        return self.name.startswith("MISFIT")
+
+    @property
     def message(self) -> str:
         """The same as the value, for reading."""
         return self.value

@@ -201,9 +201,9 @@ def fit(
     effect: Annotated[
         opt.Texts,
         "What else moves the answers: floor, exponent, contraction, noise_by_order, "
-        "standard_second, history, win_stay, drift, session_bias, overdispersion; covariate:COLUMN "
-        "is another column's, and so is a formula, 'k ~ condition' or 'bias ~ block'; may be "
-        "repeated.",
+        "standard_second, history, win_stay, drift, session_bias, bias_drift, overdispersion; "
+        "covariate:COLUMN is another column's, and so is a formula, 'k ~ condition' or "
+        "'bias ~ block'; may be repeated.",
         {"metavar": "NAME"},
     ] = None,
     states: Annotated[
@@ -285,6 +285,8 @@ def fit(
         )  # fmt: skip
         summary = result.summary().reset_index()
         run.table("fit", summary)
+        if result.unweighed.is_misfit:
+            run.table("causes", result.causes.reset_index())
         answer = result.to_dict()
         report = opt.as_options(result.report())
         if law:
