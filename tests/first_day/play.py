@@ -1,9 +1,10 @@
-"""Four new users on their first day: what they type, what it costs, and whether it is true.
+"""New users on their first day: what they type, what it costs, and whether it is true.
 
     python tests/first_day/play.py [folder]
 
 makes a fresh environment in the folder (default: a temporary one), installs this repository there,
-and plays own choices, a design, the paper with a receptor of one's own, and a tracked video. It
+and plays own choices, designs of distances, durations and levels, the paper with a receptor of
+one's own, and a tracked video. It
 prints the CPU seconds of every command, and fails where an answer is wrong or a bar is missed.
 """
 
@@ -13,7 +14,10 @@ import csv
 import json
 import math
 import os
+import random
+import re
 import resource
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -29,6 +33,11 @@ BARS: dict[str, tuple[int, float]] = {
     "own choices": (1, 30.0),
     "a design": (1, 60.0),
     "a design that cannot work": (1, 3.0),
+    "durations: a plan": (1, 60.0),
+    "durations: its analysis": (1, 5.0),
+    "durations: trial by trial": (3, 10.0),
+    "a rodent lab: a plan": (1, 60.0),
+    "a rodent lab: its analysis": (1, 5.0),
     "the paper, and an own receptor": (2, 60.0),
     "a tracked video": (1, 30.0),
 }
@@ -60,13 +69,18 @@ class Day:
     folder: Path
     typed: list[tuple[str, float, str]] = field(default_factory=list)
 
-    def types(self, user: str, *words: str, ends: int = 0) -> str:
+    def types(self, user: str, *words: str, ends: int = 0, stdin: str = "") -> str:
         """Run a command; what it printed. Its CPU seconds are kept."""
         command = [str(self.python), "-m", "weberwhisk.cli"] if words[0] == "weberwhisk" else [
             str(self.python)]  # fmt: skip
         before = _cpu_seconds()
         done = subprocess.run(
-            [*command, *words[1:]], cwd=self.folder, capture_output=True, text=True, check=False
+            [*command, *words[1:]],
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            input=stdin,
         )
         self.typed.append((user, _cpu_seconds() - before, " ".join(words)[:90].splitlines()[0]))
         assert done.returncode == ends, f"{words}: {done.stdout}{done.stderr}"
@@ -131,6 +145,87 @@ def an_infeasible_design(day: Day) -> None:
     assert "write --animals " in said
 
 
+#: What nothing that is said of another magnitude has a word of.
+WHISKERS = re.compile(r"millimet|\bmm\b|_mm\b|(?<!weber)whisk|distance|farther|nearer", re.I)
+
+
+def _answered(table: Path, chance: Callable[[dict[str, str]], float], *columns: str) -> None:
+    """A trial list with the answers of someone who says so with this chance."""
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    draws = random.Random(1)
+    with table.open("w", encoding="utf-8", newline="") as file:
+        kept = csv.DictWriter(file, [*rows[0], *columns])
+        kept.writeheader()
+        for row in rows:
+            yes = int(draws.random() < chance(row))
+            kept.writerow(row | dict.fromkeys(columns, yes))
+
+
+def _longer(first: float, second: float, k: float = 0.12) -> float:
+    """Chance of an answer that the second of two is the greater."""
+    z = (second - first) / (k * math.hypot(first, second))
+    return 0.02 + 0.96 * 0.5 * math.erfc(-z / math.sqrt(2))
+
+
+def durations(day: Day, *options: str) -> None:
+    """A psychophysicist of durations: Weber's law against a rival, people, and one session."""
+    user = "durations"
+    command = ("weberwhisk", "design", "--magnitude", "duration", "--unit", "ms", "--standards",
+               "300,600,1200", "--people", "1", "--rival", "exponent:0.5")  # fmt: skip
+    said = day.types(f"{user}: a plan", *command, *options, "--out", "durations")
+    plan = day.folder / "durations"
+    for path in plan.iterdir():
+        if path.suffix in (".csv", ".txt"):
+            said += path.read_text("utf-8")
+    page = re.sub(r'src="data:[^"]*"', "", (plan / "plan.html").read_text("utf-8"))
+    assert "which of two durations is the longer" in page
+    lists = plan / "trials.csv"
+    _answered(lists, lambda row: _longer(float(row["stimulus_1_ms"]), float(row["stimulus_2_ms"])),
+              "choice")  # fmt: skip
+    found = day.types(f"{user}: its analysis", "weberwhisk", "analyse", str(plan / "plan.json"),
+                      str(lists), "--out", "analysed")  # fmt: skip
+    assert "Best: Weber's law, by a Bayes factor of" in found
+    assert "not the preregistered verdict" not in found
+    placed = day.types(f"{user}: trial by trial", "weberwhisk", "next", "--magnitude", "duration",
+                       "--unit", "ms", "--standards", "300,600", "--most", "30", "--log",
+                       "p1.jsonl", stdin="1\n0\n1\n" * 10)  # fmt: skip
+    first, *_, last = map(json.loads, placed.splitlines())
+    assert "comparison_ms" in first
+    again = day.types(f"{user}: trial by trial", *shlex.split(last["repeat"]), "--json")
+    k = json.loads(again)["weber_fraction"]
+    assert math.isclose(k, last["weber_fraction"], rel_tol=0.03), (k, last)
+    of_log = day.types(f"{user}: trial by trial", "weberwhisk", "analyse", str(plan / "plan.json"),
+                       "p1.jsonl")  # fmt: skip
+    assert "not the preregistered verdict" in of_log
+    for text in (said, page, found, placed, again, of_log):
+        assert not WHISKERS.search(text), WHISKERS.findall(text)
+
+
+def a_rodent_lab(day: Day, *options: str) -> None:
+    """Rats that hear levels, go or no-go, with and without a drug."""
+    user = "a rodent lab"
+    said = day.types(f"{user}: a plan", "weberwhisk", "design", "--magnitude", "sound level",
+                     "--unit", "dB", "--standards", "60", "--task", "go/no-go", "--animals", "4",
+                     "--conditions", "saline,drug", "--ratio", "1.5", *options, "--out",
+                     "levels")  # fmt: skip
+    plan = day.folder / "levels"
+    assert "4 animals" in said
+    text = " ".join((plan / "preregistration.txt").read_text("utf-8").split())
+    assert "whether a sound level is louder than the standard held in mind" in text
+
+    def go(row: dict[str, str]) -> float:
+        off = float(row["stimulus_2_dB"]) - float(row["standard_dB"])
+        return _longer(1.0, 10 ** (off / 20), 0.25 if row["condition"] == "drug" else 0.1)
+
+    _answered(plan / "trials.csv", go, "choice")
+    found = day.types(f"{user}: its analysis", "weberwhisk", "analyse", str(plan / "plan.json"),
+                      str(plan / "trials.csv"), "--out", "levels_analysed")  # fmt: skip
+    assert "the conditions are told apart" in found
+    for words in (said, text, found):
+        assert not WHISKERS.search(words), WHISKERS.findall(words)
+
+
 def the_paper(day: Day, *, readings: int = 200) -> None:
     """The paper's claims beside what is found, and JNDs under a noise law of one's own."""
     if readings >= 200:
@@ -171,7 +266,8 @@ def a_tracked_video(day: Day) -> None:
 
 
 USERS: tuple[Callable[[Day], None], ...] = (
-    own_choices, a_design, an_infeasible_design, the_paper, a_tracked_video,
+    own_choices, a_design, an_infeasible_design, durations, a_rodent_lab, the_paper,
+    a_tracked_video,
 )  # fmt: skip
 
 
@@ -185,7 +281,7 @@ def fresh_environment(folder: Path) -> Path:
 
 
 def main(folder: Path) -> list[str]:
-    """Play all four; the bars that were missed."""
+    """Play all of them; the bars that were missed."""
     day = Day(fresh_environment(folder), folder)
     for plays in USERS:
         plays(day)

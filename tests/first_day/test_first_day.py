@@ -1,4 +1,4 @@
-"""The first day of four users, short in this environment, and whole from a fresh one."""
+"""The first day of new users, short in this environment, and whole from a fresh one."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import pytest
 from first_day import play
 
 
-def test_four_users_get_what_they_came_for(tmp_path: Path) -> None:
+def test_users_get_what_they_came_for(tmp_path: Path) -> None:
     day = play.Day(Path(sys.executable), tmp_path)
     play.own_choices(day)
     play.a_design(day, "--trials", "10", "--runs", "0")
     play.an_infeasible_design(day)
+    play.durations(day, "--trials", "10", "--runs", "0")
+    play.a_rodent_lab(day, "--trials", "20", "--runs", "0")
     play.the_paper(day, readings=8)
     play.a_tracked_video(day)
     commands = [user for user, _, _ in day.typed]
