@@ -1,6 +1,7 @@
 """Measured contacts whose noise and misfit nobody gave: do 95 % intervals hold the distance?
 
-    python analyses/contacts/make.py [--short] [--sets N] [--only tables] [--only taps] [folder]
+    python analyses/contacts/make.py [--short] [--sets N] [--only tables] [--only taps]
+        [--only calibrations] [folder]
 
 *tables*: contacts of a whisker that is curved as a spiral at rest (R = 15). The direction of the
 force is off by 7° (sd) in each touch and drifts by 3.5° within it, magnitudes scatter by 3 %.
@@ -10,6 +11,10 @@ or none; the touches or none; no noise.
 *taps*: twelve taps at each of eleven distances, from a sensor on a hinge whose stiffness grows with
 the load, as no calibration here has it. Each distance is left out in turn and located by the
 calibration of the others.
+
+*calibrations*: twelve taps at each of eleven distances of a sensor as calibrations have it, or with
+slopes off by 5 % (sd) at each of seven distances, or twenty taps at each of ten, of which one in a
+hundred is off by 9 sds. Touches of as many taps as these, at new distances, are located.
 
 Writes a table (CSV) of each, a row a set.
 """
@@ -35,6 +40,10 @@ WHISKER = ww.Whisker(40e-3, 90e-6, 6e-6, youngs_modulus=3e9)
 CURVED = ww.mechanics.Profile.of(WHISKER).curved(ww.mechanics.Spiral(6.0, 300.0))
 SENSOR = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
+#: Of calibrations: number of distances, taps at each, scatter of taps, sd of the misfit at each
+#: distance, and share of taps that are off by 9 sds.
+KINDS = {"obeying": (11, 12, 0.025, 0.0, 0.0), "misfit": (7, 12, 0.025, 0.05, 0.0),
+         "gross": (10, 20, 0.027, 0.0, 0.01)}  # fmt: skip
 #: Of sensors: compliance of the hinge (m) without load, share by which its stiffness grows at the
 #: load of the middle distance, power of the load by which it grows, and scatter of taps.
 SENSORS = [(0.012, 1.0, 1, 0.025), (0.012, 4.0, 1, 0.005), (0.03, 1.0, 2, 0.01),
@@ -91,6 +100,53 @@ def tables(sets: int, short: bool = False) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def sensor_taps(kind: str, r: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
+    """Taps at distances r (m) of a kind, and which of them are gross."""
+    _, each, k, misfit, share = KINDS[kind]
+    off = k * rng.standard_normal((r.size, each)) + misfit * rng.standard_normal((r.size, 1))
+    gross = rng.random(off.shape) < share
+    off[gross] = 9 * k * rng.choice([-1, 1], gross.sum())
+    slope = slopes(0.012, 0.0, 1, r)[:, None] * (1 + off)
+    return pd.DataFrame({
+        "radial_distance_mm": np.repeat(1e3 * r, each), "touch": np.repeat(np.arange(r.size), each),
+        "moment_rate": slope.ravel(), "gross": gross.ravel(),
+    })  # fmt: skip
+
+
+def calibrations(sets: int, kinds: Sequence[str] = tuple(KINDS)) -> pd.DataFrame:
+    """A row for each kind and set: how many of eleven touches at new distances are held."""
+    rows = []
+    for kind, seed in product(kinds, range(sets)):
+        rng = np.random.default_rng(seed)
+        table = sensor_taps(kind, np.linspace(0.03, 0.105, KINDS[kind][0]), rng)
+        new = sensor_taps(kind, np.sort(rng.uniform(0.03, 0.105, 11)), rng)
+        found = ww.calibrate(table.drop(columns=["gross", "touch"]), NOMINAL)
+        named = table.index.isin(found.gross.index)
+        own = new.rename(columns={"radial_distance_mm": "true_mm"})
+        rows.append({
+            "kind": kind, "set": seed, "k": KINDS[kind][2],
+            "k_found": float(found.noise.weber_fraction), "misfit": found.misfit,
+            **touches_held(own, found), "gross": int(table["gross"].sum()),
+            "gross_named": int((named & table["gross"]).sum()),
+            "falsely_named": int((named & ~table["gross"]).sum()),
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
+def touches_held(table: pd.DataFrame, found: ww.recordings.Calibration) -> dict[str, float]:
+    """How many touches are held, and the mean errors (mm) of their means and of the best fit."""
+    each = ww.locate(table, found, touch="touch").drop_duplicates("touch")
+    best = ww.locate(table, found.whisker, cue=found.cue, noise=found.noise, touch="touch")
+    best = best.drop_duplicates("touch")
+    inside = each["true_mm"].between(each["touch_lower_mm"], each["touch_upper_mm"])
+    error, best_error = ((t["touch_radial_distance_mm"] - t["true_mm"]).abs() for t in (each, best))
+    return {
+        "touches": len(each), "touches_held": int(inside.sum()), "error_mm": error.mean(),
+        "best_fit_error_mm": best_error.mean(), "largest_error_mm": error.max(),
+    }  # fmt: skip
+
+
 def slopes(hinge: float, growth: float, power: float, r: np.ndarray) -> np.ndarray:
     """Slopes of taps at distances r whose load stiffens the hinge, by fixed-point iteration."""
     beam = 1 / (1 / r - 1 / SENSOR.apex_distance)
@@ -113,32 +169,38 @@ def taps(
         noise = 1 + k * np.random.default_rng(seed).standard_normal(r.size)
         table = pd.DataFrame({"radial_distance_mm": 1e3 * r, "touch": np.arange(r.size) // 12,
                               "moment_rate": slopes(hinge, growth, power, r) * noise})  # fmt: skip
-        whole, found = ww.calibrate(table, NOMINAL), []
+        whole, each, located = ww.calibrate(table, NOMINAL), [], []
         for touch in left_out:
             out = table["touch"] == touch
             own = table[out].rename(columns={"radial_distance_mm": "true_mm"})
-            found.append(ww.locate(own, ww.calibrate(table[~out], NOMINAL), touch="touch"))
-        every = pd.concat(found)
-        each = every.drop_duplicates("touch")
-        inside = each["true_mm"].between(each["touch_lower_mm"], each["touch_upper_mm"])
-        error = (each["touch_radial_distance_mm"] - each["true_mm"]).abs().max()
+            rest = ww.calibrate(table[~out], NOMINAL)
+            each.append(touches_held(own, rest))
+            located.append(ww.locate(own, rest))
+        every = pd.DataFrame(each)
         rows.append({
             "hinge_m": hinge, "growth": growth, "power": power, "scatter": k, "set": seed,
-            "p_value": whole.p_value, "misfit": whole.misfit, "touches_held": int(inside.sum()),
-            "rows_held": float(held(every)["held"]), "largest_error_mm": float(error),
+            "p_value": whole.p_value, "misfit": whole.misfit,
+            "touches_held": int(every["touches_held"].sum()),
+            "rows_held": float(held(pd.concat(located))["held"]),
+            "error_mm": every["error_mm"].mean(),
+            "best_fit_error_mm": every["best_fit_error_mm"].mean(),
+            "largest_error_mm": every["largest_error_mm"].max(),
         })  # fmt: skip
         print(rows[-1], flush=True)
     return pd.DataFrame(rows)
 
 
+PARTS = {"taps": taps, "calibrations": calibrations}
+
 if __name__ == "__main__":
     asked = options(__file__, __doc__, short="one set of each, tables of 18 contacts", sets=5,
-                    parts=("tables", "taps"))  # fmt: skip
+                    parts=("tables", "taps", "calibrations"))  # fmt: skip
     asked.folder.mkdir(parents=True, exist_ok=True)
     sets = 1 if asked.short else asked.sets
-    for name in asked.only or ("tables", "taps"):
-        made = tables(sets, asked.short) if name == "tables" else taps(sets)
+    for name in asked.only or ("tables", "taps", "calibrations"):
+        made = tables(sets, asked.short) if name == "tables" else PARTS[name](sets)
         made.to_csv(asked.folder / f"{name}.csv", index=False)
-        kinds = [n for n in ("signals", "shape_given", "touches_given", "hinge_m", "growth")
+        kinds = [n for n in ("signals", "shape_given", "touches_given", "hinge_m", "growth",
+                             "kind")
                  if n in made]  # fmt: skip
         print(made.drop(columns="set").groupby(kinds).mean().round(3).to_string())

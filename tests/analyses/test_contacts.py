@@ -49,3 +49,12 @@ def test_taps_left_out_of_a_sensor_that_the_model_does_not_describe(
     assert (found["rows_held"] >= 0.88).all()
     if sensor[1:3] == (1.0, 2):  # a misfit as large as a real sensor's
         assert (found["p_value"] < 1e-20).all()
+
+
+def test_touches_located_by_a_calibration_with_gross_taps() -> None:
+    """The bar: those 9 sds off are named and no others, and 9 of 11 touches are held."""
+    (found,) = contacts.calibrations(1, ["gross"]).to_dict("records")
+    assert found["gross"] > 0
+    assert found["gross_named"] == found["gross"]
+    assert found["falsely_named"] == 0
+    assert found["touches_held"] >= 9

@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
+from scipy.special import logsumexp
 
 import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.recordings import HingedTap
+from weberwhisk.recordings.taps import TapModel
 
 TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
@@ -64,11 +67,11 @@ def test_what_few_taps_leave_open_widens_the_distances() -> None:
     whole = ww.locate(table, found)
     # By hand: 1/r = 1/A + 1/(scale/slope − hinge) for each draw.
     moved, own = [], []
-    for whisker, cue, noise in found.samples:
-        k = noise.weber_fraction
-        slopes = table["moment_rate"].to_numpy() * np.exp(k * np.array([[-1.0], [0.0], [1.0]]))
-        inside = cue.gain * whisker.compliance_constant / slopes - cue.hinge
-        low, middle, high = 1 / (1 / inside + 1 / whisker.apex_distance)
+    for draw in found.samples.itertuples():
+        sd = np.hypot(draw.weber_fraction, draw.misfit)
+        slopes = table["moment_rate"].to_numpy() * np.exp(sd * np.array([[-1.0], [0.0], [1.0]]))
+        inside = 3 * draw.stiffness_N_m2 / slopes - draw.hinge_mm / 1e3
+        low, middle, high = 1 / (1 / inside + 1e3 / draw.apex_distance_mm)
         moved.append(middle)
         own.append((high - low) / 2)
     total = 1e3 * np.sqrt(np.var(moved, axis=0) + np.mean(np.square(own), axis=0))
@@ -79,25 +82,149 @@ def test_what_few_taps_leave_open_widens_the_distances() -> None:
         ww.locate(table, found, noise=ww.receptors.Weber(0.1))
 
 
+def _weights_by_hand(found: ww.recordings.Calibration, slopes: np.ndarray, r: np.ndarray):
+    """Posterior of distance on a grid, gross rows and misfits summed over one by one."""
+    z = np.linspace(-4.5, 4.5, 61)
+    total = np.zeros(r.size)
+    for draw in found.samples.iloc[::8].itertuples():
+        k, scale = draw.weber_fraction, 3 * draw.stiffness_N_m2
+        beam = 1 / (1 / r - 1e3 / draw.apex_distance_mm)
+        mean = scale / (beam + draw.hinge_mm / 1e3)
+        off = slopes[:, None, None] / mean[:, None] - 1  # slope, distance, misfit
+        own = 0.99 * stats.norm.pdf(off, draw.misfit * z, k) + 0.01 * stats.cauchy.pdf(
+            off, 0.0, 10 * k
+        )
+        log = (np.log(own) - np.log(mean)[:, None]).sum(axis=0)
+        log = logsumexp(log - z**2 / 2, axis=1)
+        weight = np.exp(log - log.max())
+        # Draws weigh by the prior of 1/slope where they put it, not by the scatter of the slopes.
+        total += weight / weight.sum() * np.abs(np.gradient(r, 1 / mean))[log.argmax()]
+    return total / total.sum()
+
+
+def _compare(located: pd.Series, r: np.ndarray, weight: np.ndarray, of: str = "touch_") -> None:
+    mean = 1e3 * weight @ r
+    sd = np.sqrt(weight @ (1e3 * r - mean) ** 2)
+    assert abs(located[f"{of}radial_distance_mm"] - mean) < 0.08 * sd
+    assert located[f"{of}sd_mm"] == pytest.approx(sd, rel=0.05)
+    low, high = 1e3 * np.interp([0.025, 0.975], np.cumsum(weight), r)
+    assert abs(located[f"{of}lower_mm"] - low) < 0.15 * sd
+    assert abs(located[f"{of}upper_mm"] - high) < 0.15 * sd
+
+
+def test_a_gross_slope_does_not_spoil_its_touch() -> None:
+    """By the sum by hand; without it the touch would be off by 5 sds."""
+    found = ww.calibrate(_taps(), NOMINAL)
+    at = np.repeat([0.06, 0.07], [8, 1])
+    slopes = ww.Observer(TRUE, HingedTap(HINGE), ww.receptors.Weber(K)).read(at[:, None], seed=9)
+    slopes = slopes[:, 0]
+    slopes[2] *= 1.4
+    table = pd.DataFrame({"moment_rate": slopes, "touch": np.repeat([1, 2], [8, 1])})
+    located = ww.locate(table, found, touch="touch")
+    r = np.linspace(0.055, 0.065, 301)
+    _compare(located.iloc[0], r, _weights_by_hand(found, slopes[:8], r))
+    said = located["message"].str.contains("does not belong to its touch")
+    assert said.to_numpy().nonzero()[0].tolist() == [2]
+    assert abs(located["touch_radial_distance_mm"][0] - 60) < 2.5 * located["touch_sd_mm"][0]
+
+
+def test_errors_of_measurement_widen_by_hand() -> None:
+    """One slope with an error of a fifth, on a plain grid: the mean over draws."""
+    found = ww.calibrate(_taps(), NOMINAL)
+    slope = float(ww.Observer(TRUE, HingedTap(HINGE)).signals(np.array([[0.06]]))[0][0, 0])
+    located = ww.locate(
+        pd.DataFrame({"moment_rate": [slope], "moment_rate_sd": 0.2 * slope}), found
+    )
+    r = np.linspace(1e-4, 0.12, 4001)[:-1]
+    total = np.zeros(r.size)
+    for draw in found.samples.iloc[::10].itertuples():
+        beam = 1 / (1 / r - 1e3 / draw.apex_distance_mm)
+        mean = 3 * draw.stiffness_N_m2 / (beam + draw.hinge_mm / 1e3)
+        sd = np.hypot(np.hypot(draw.weber_fraction, draw.misfit) * mean, 0.2 * slope)
+        total += stats.norm.pdf(slope, mean, sd)
+    _compare(located.iloc[0], r, total / total.sum(), "")
+
+
+def test_the_density_of_taps_is_that_by_hand() -> None:
+    """Misfits and gross rows summed over one by one, at places about the mode."""
+    rng = np.random.default_rng(3)
+    taps = _taps(each=4)
+    off = np.repeat(1 + 0.03 * rng.standard_normal(11), 4)
+    off[[5, 18, 19]] *= [1.4, 0.6, 0.75]  # two at one distance
+    r, y = taps["radial_distance_mm"].to_numpy() / 1e3, off * taps["moment_rate"].to_numpy()
+    single = np.r_[0:40, 40]  # the last distance has one tap
+    model = TapModel.of(r[single], y[single], NOMINAL.length, True)
+    mode, covariance = model.mode()
+    places = rng.multivariate_normal(mode, covariance, 40)
+    z = np.linspace(-8, 8, 2001)
+
+    def by_hand(x: np.ndarray) -> float:
+        sensor = model.sensor(x)
+        mean, k = sensor.slope(model.r), float(sensor.k)
+        total = 0.0
+        for rows in model.groups:
+            each = (model.y[rows] / mean[rows] - 1)[:, None]
+            own = 0.99 * stats.norm.pdf(each, float(sensor.misfit) * z, k)
+            log = np.log(own + 0.01 * stats.cauchy.pdf(each, 0.0, 10 * k)).sum(axis=0)
+            total += logsumexp(log + stats.norm.logpdf(z)) - np.log(mean[rows]).sum()
+        prior = stats.norm([1.5, -3.0, -4.5, -3.0], [2.0, 2.0, 3.0, 1.5])
+        return total + prior.logpdf(x[1:]).sum()
+
+    log = model.log_density(places)
+    near = places[log > log.max() - 10]
+    assert len(near) > 15
+    difference = model.log_density(near) - [by_hand(x) for x in near]
+    weight = np.exp(log[log > log.max() - 10] - log.max())
+    weight /= weight.sum()
+    # Sets of rows that `TapModel` leaves out are summed here.
+    assert np.sqrt(weight @ (difference - weight @ difference) ** 2) < 0.05
+    gross = model.gross_probability(near)
+    assert (gross >= 0.9).nonzero()[0].tolist() == [5, 18, 19]
+
+
+@pytest.mark.parametrize("off", [9 * 0.027, 0.9])
+def test_two_gross_taps_of_two_hundred_are_named_and_spoil_nothing(off: float) -> None:
+    rng = np.random.default_rng(7)
+    r = np.repeat(np.linspace(0.03, 0.105, 10), 20)
+    error = 0.027 * rng.standard_normal(200)
+    error[[30, 111]] = [off, -off]
+    slopes = ww.Observer(TRUE, HingedTap(HINGE)).signals(r[:, None])[0][:, 0] * (1 + error)
+    taps = pd.DataFrame({"radial_distance_mm": 1e3 * r, "moment_rate": slopes})
+    taps = taps.set_axis([f"tap {i}" for i in range(200)]).sample(frac=1, random_state=1)
+    found = ww.calibrate(taps, NOMINAL)
+    assert sorted(found.gross.index) == ["tap 111", "tap 30"]
+    without = ww.calibrate(taps.drop(found.gross.index), NOMINAL)
+    assert found.noise.weber_fraction == pytest.approx(without.noise.weber_fraction, rel=0.01)
+    for name in without.parameters.index:
+        plain = without.parameters.loc[name]
+        assert abs(found.parameters.loc[name, "mean"] - plain["mean"]) < 0.1 * plain["sd"]
+    assert found.fits
+    assert (found.gross["weber_fraction_if_kept"] > 1.1 * found.noise.weber_fraction).all()
+    assert "2 taps (rows" in found.message
+    assert "k would be" in found.message
+
+
 def test_a_touch_shares_one_calibration() -> None:
-    """By hand, on a plain grid of distances: the mean over draws of the product of the rows."""
+    """By hand, on a plain grid of distances: the mean over draws of the density of the rows."""
     found = ww.calibrate(_taps(each=2, seed=5), NOMINAL)
     observer = ww.Observer(TRUE, HingedTap(HINGE), ww.receptors.Weber(K))
     at = np.repeat([0.05, 0.08], 12)
     slopes = observer.read(at[:, None], seed=6)[:, 0]
     table = pd.DataFrame({"moment_rate": slopes, "touch": np.repeat([1, 2], 12)})
     located = ww.locate(table, found, touch="touch").iloc[[0, 12]]
-    r, moments = np.linspace(0.03, 0.1, 4001), []
-    for whisker, cue, noise in found.samples:
-        own = ww.Observer(whisker, cue, noise)
-        log = own.noise.log_likelihood(slopes[:, None, None], own.signals(r[:, None])[0])
-        weight = np.exp([part - part.max() for part in log.reshape(2, 12, -1).sum(axis=1)])
-        weight /= weight.sum(axis=1, keepdims=True)
-        moments.append([weight @ r, weight @ r**2])
-    mean, square = np.mean(moments, axis=0)
-    sd = np.sqrt(square - mean**2)
-    assert np.abs(located["touch_radial_distance_mm"] / 1e3 - mean).max() < 0.05 * sd.min()
-    np.testing.assert_allclose(located["touch_sd_mm"], 1e3 * sd, rtol=0.03)
+    for touch, own in enumerate(slopes.reshape(2, 12)):
+        r = at[12 * touch] + np.linspace(-8e-3, 8e-3, 401)
+        total = np.zeros(r.size)
+        for draw in found.samples.itertuples():
+            beam = 1 / (1 / r - 1e3 / draw.apex_distance_mm)
+            mean = 3 * draw.stiffness_N_m2 / (beam + draw.hinge_mm / 1e3)
+            covariance = draw.weber_fraction**2 * np.eye(12) + draw.misfit**2
+            off = own[:, None] / mean - 1
+            log = -0.5 * (off * np.linalg.solve(covariance, off)).sum(axis=0) - 12 * np.log(mean)
+            weight = np.exp(log - log.max())
+            slope = np.abs(np.gradient(r, 1 / mean))[log.argmax()]
+            total += slope * weight / weight.sum()
+        _compare(located.iloc[touch], r, total / total.sum())
     # Twelve rows would be a third as uncertain as one, had they not the calibration in common.
     exact = ww.locate(table, found.whisker, cue=found.cue, noise=found.noise, touch="touch")
     assert (located["touch_sd_mm"] > 1.3 * exact["touch_sd_mm"].iloc[[0, 12]]).all()

@@ -25,7 +25,8 @@ from ..inference.tree import TOLERANCE
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber
 from ..whisker import Assumed, Whisker, is_wire
-from .calibration import Calibration, averaged
+from .calibrated import Slopes, averaged
+from .calibration import Calibration
 from .columns import (
     COMMON,
     FROM_SHAPE,
@@ -163,8 +164,20 @@ def locate(
                 "slopes cannot be compared",
                 remedy="give both or neither",
             )
-        options: Any = {"columns": columns, "units": units, "prior": prior, "touch": touch}
-        return averaged(whisker, partial(locate, raw, **options), progress)
+        best: Any = {"cue": whisker.cue, "noise": whisker.noise}
+        located = locate(
+            raw, whisker.whisker, **best, columns=columns, units=units, touch=touch, prior=prior,
+            progress=progress,
+        )  # fmt: skip
+        _, y, covariance = signals_of(si, whisker.cue, whisker.whisker, True, [], [*raw.columns])
+        observer = Observer(whisker.whisker, **best, prior=prior or {})
+        none = np.full(len(raw), -1)
+        slopes = Slopes(
+            y[:, 0], np.zeros(len(raw)) if covariance is None else covariance[:, 0, 0],
+            none if touch is None else _numbered(_touches_of(raw, touch, [])),
+            partial(distance_prior, observer),
+        )  # fmt: skip
+        return averaged(whisker, located, slopes)
     checks.kind(
         "whisker", whisker, "a Whisker", "stiffness", "write ww.Whisker.from_identity('C2')"
     )
@@ -209,7 +222,7 @@ def locate(
     check_magnitudes(plain, y, found)
     touches: Index = np.full(len(raw), -1)
     if named is not None:
-        touches = pd.factorize(pd.Series(named, dtype=object))[0].astype(np.intp)
+        touches = _numbered(named)
     learns = noise is None and covariance is None and type(plain.noise) in (Weber, GeneralisedWeber)
 
     def of(*laws: Any) -> Cases:
@@ -305,6 +318,11 @@ def _touches_of(raw: pd.DataFrame, touch: Any, notes: list[str]) -> NDArray[np.o
             "whisker, number touches throughout."
         )
     return out
+
+
+def _numbered(touches: NDArray[np.object_]) -> Index:
+    """The touch of each row as a number, -1 for none."""
+    return pd.factorize(pd.Series(touches, dtype=object))[0].astype(np.intp)
 
 
 def _whisker_in_words(whisker: Any, bow: float | None) -> str:
