@@ -39,7 +39,7 @@ from weberwhisk import (
     simulate_trials,
 )
 from weberwhisk.inference import Posterior
-from weberwhisk.inference.approximate import climb, find_mode
+from weberwhisk.inference.approximate import find_mode, fisher_scoring
 from weberwhisk.sensitivity import fisher_jnd, weber_propagation
 
 Array = np.ndarray
@@ -156,7 +156,7 @@ def by_cubature(observer: Observer, rows: Array, tolerance: float) -> Array:
 
 def importance(observer: Observer, rows: Array, n: int, seed: int = 5) -> Array:
     """Sds of r (B,) by importance sampling from Student's t about the mode."""
-    mode, _, covariance = climb(observer, rows, find_mode(observer, rows)[0], 1e-9, 1)
+    mode, _, covariance = fisher_scoring(observer, rows, find_mode(observer, rows)[0], 1e-9, 1)
     root = 1.2 * np.linalg.cholesky(covariance)
     t = stats.multivariate_t(shape=np.eye(root.shape[1]), df=5, seed=seed)
     z = t.rvs(n).reshape(n, -1)

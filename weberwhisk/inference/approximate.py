@@ -34,7 +34,9 @@ from .result import (
 from .tree import TOLERANCE, tree_of
 from .weighted import CellSums, interpolate
 
-__all__ = ["climb", "count_peaks", "density_at", "find_mode", "is_divided", "laplace", "sample"]
+__all__ = [
+    "count_peaks", "density_at", "find_mode", "fisher_scoring", "is_divided", "laplace", "sample",
+]  # fmt: skip
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
 #: posterior that has not converged is called so: one unknown, and more.
@@ -54,7 +56,7 @@ def find_mode(
     """
     if starts is None:
         starts = _starting_points(observer, reading)
-    return climb(observer, reading, starts, 1e-9, 60)[:2]
+    return fisher_scoring(observer, reading, starts, 1e-9, 60)[:2]
 
 
 def _starting_points(observer: Observer, reading: Array) -> Array:
@@ -65,10 +67,10 @@ def _starting_points(observer: Observer, reading: Array) -> Array:
     density = density_at(observer, places)
     best = np.zeros(len(reading), dtype=np.intp)
     for start in range(0, len(reading), 256):
-        rows = slice(start, start + 256)
-        table = density(reading[rows])
-        best[rows] = table.argmax(axis=1)
-        refuse_impossible(reading[rows], table.max(axis=1))
+        chunk = slice(start, start + 256)
+        table = density(reading[chunk])
+        best[chunk] = table.argmax(axis=1)
+        refuse_impossible(reading[chunk], table.max(axis=1))
     return places[best]
 
 
@@ -76,21 +78,22 @@ def _exact(observer: Observer, reading: Array) -> CellSums | None:
     """Posteriors by the tree where it has all unknowns: distance, or distance and angle."""
     if len(observer.unknowns) > observer.bounded:
         return None
-    found = cell_sums(tree_of(observer, TOLERANCE), reading)
-    refuse_impossible(reading, np.nan_to_num(found.log_evidence, nan=-np.inf))
-    return found
+    sums = cell_sums(tree_of(observer, TOLERANCE), reading)
+    refuse_impossible(reading, np.nan_to_num(sums.log_evidence, nan=-np.inf))
+    return sums
 
 
 def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
     """ln of the densities (B, n) that readings (B, R) have at places (n, U)."""
     contact, log_prior = observer.space.constrain(places)
     signals, outcome = observer.signals(contact)
-    held = np.asarray(outcome == Outcome.HELD)
-    signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
+    in_contact = np.asarray(outcome == Outcome.HELD)
+    signals = np.where(in_contact[:, None], signals, 1.0)
+    log_prior = np.where(in_contact, log_prior, -np.inf)
     return lambda reading: observer.log_reading(reading[:, None], signals) + log_prior
 
 
-def climb(
+def fisher_scoring(
     observer: Any, reading: Array, start: Array, enough: float, steps: int
 ) -> tuple[Array, Array, Array]:
     """Fisher scoring from places (n, U) of readings (n, R), down to a squared decrement.
@@ -106,21 +109,20 @@ def climb(
     for _ in range(steps):
         value, gradient, information = score(observer, reading[moving], trial[moving])
         better = value >= top[moving]
-        rows = moving[better]
-        x[rows], top[rows] = trial[rows], value[better]
+        improved = moving[better]
+        x[improved], top[improved] = trial[improved], value[better]
         inverse = np.linalg.inv(information[better] + prior)
-        covariance[rows] = inverse
+        covariance[improved] = inverse
         step = np.einsum("nij,nj->ni", inverse, gradient[better])
         decrement = np.einsum("ni,ni->n", step, gradient[better])
-        radius[rows] *= 1.5
+        radius[improved] *= 1.5
         radius[moving[~better]] /= 4
         length = np.linalg.norm(step, axis=1)
-        trial[rows] = (
-            x[rows] + step * np.minimum(1.0, radius[rows] / np.maximum(length, 1e-12))[:, None]
-        )
+        shorter = np.minimum(1.0, radius[improved] / np.maximum(length, 1e-12))
+        trial[improved] = x[improved] + step * shorter[:, None]
         back = moving[~better]
         trial[back] = x[back] + (trial[back] - x[back]) / 4
-        moving = np.sort(np.concatenate([rows[decrement > enough], back[radius[back] > 1e-6]]))
+        moving = np.sort(np.concatenate([improved[decrement > enough], back[radius[back] > 1e-6]]))
         if not moving.size:
             break
     return x, top, covariance
@@ -133,11 +135,11 @@ def score(observer: Any, reading: Array, x: Array) -> tuple[Array, Array, Array]
     stencil = np.concatenate([np.zeros((1, dim)), h * np.eye(dim), -h * np.eye(dim)])
     contact, log_prior = observer.space.constrain(x[:, None] + stencil)
     signals, outcome = observer.signals(contact)
-    held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
-    held &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
-    signals = np.where(held[..., None], signals, 1.0)
+    in_contact = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+    in_contact &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
+    signals = np.where(in_contact[..., None], signals, 1.0)
     value = observer.log_reading(reading[:, None], signals) + log_prior
-    value = np.where(held & np.isfinite(value), value, -np.inf)
+    value = np.where(in_contact & np.isfinite(value), value, -np.inf)
     inside = np.asarray(np.isfinite(value).all(axis=1))
     steps = np.where(inside[:, None], value, 0.0)
     gradient = (steps[:, 1 : 1 + dim] - steps[:, 1 + dim :]) / (2 * h)
@@ -147,8 +149,8 @@ def score(observer: Any, reading: Array, x: Array) -> tuple[Array, Array, Array]
     if normal.shape[-1]:
         rise = np.swapaxes(normal[:, 1 : 1 + dim] - normal[:, 1 + dim :], 1, 2) / (2 * h)
         information += np.swapaxes(rise, 1, 2) @ rise
-    known = np.isfinite(information).all(axis=(1, 2), keepdims=True) & inside[:, None, None]
-    return value[:, 0], gradient, np.where(known, information, 0.0)
+    is_finite = np.isfinite(information).all(axis=(1, 2), keepdims=True) & inside[:, None, None]
+    return value[:, 0], gradient, np.where(is_finite, information, 0.0)
 
 
 def prior_precision(observer: Observer) -> Array:
@@ -251,19 +253,19 @@ def _beside_the_density(
     edge = (np.abs(z) == reach).any(axis=1)
     mean, variance = np.empty((2, *at_mode.shape))
     beyond = np.empty((len(reading), 1))
-    rows = max(1, 500_000 // len(z))
-    for start in range(0, len(reading), rows):
-        some = slice(start, start + rows)
-        x = mode[some, None] + z @ np.swapaxes(root[some], 1, 2)
-        log, contact = observer.log_density_and_contact(x, reading[some, None])
+    size = max(1, 500_000 // len(z))
+    for start in range(0, len(reading), size):
+        chunk = slice(start, start + size)
+        x = mode[chunk, None] + z @ np.swapaxes(root[chunk], 1, 2)
+        log, contact = observer.log_density_and_contact(x, reading[chunk, None])
         weight = np.exp(log - log.max(axis=1, keepdims=True))
         weight /= weight.sum(axis=1, keepdims=True)
         # Where the density is zero there may be no contact.
         contact = np.where(weight[..., None] > 0, contact, 0.0)
-        mean[some] = np.einsum("bt,btu->bu", weight, contact)
-        off = contact - mean[some, None]
-        variance[some] = np.einsum("bt,btu->bu", weight, off * off)
-        beyond[some, 0] = weight[:, edge].sum(axis=1)
+        mean[chunk] = np.einsum("bt,btu->bu", weight, contact)
+        off = contact - mean[chunk, None]
+        variance[chunk] = np.einsum("bt,btu->bu", weight, off * off)
+        beyond[chunk, 0] = weight[:, edge].sum(axis=1)
     summed = np.sqrt(variance)
     return (
         np.abs(mean - at_mode) + reach * beyond * summed,
@@ -295,21 +297,23 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
             "write ww.posterior(observer, reading).interval()",
         )
     y = observer.checked_reading(reading)
-    rows = y.reshape(-1, y.shape[-1])
+    readings = y.reshape(-1, y.shape[-1])
     # Down to a billionth of a billionth of the highest density.
-    found = cell_sums(tree_of(observer, TOLERANCE), rows, drop=41.0)
-    counts = np.zeros(len(rows), dtype=int)
-    for marginal in found.marginals():
+    sums = cell_sums(tree_of(observer, TOLERANCE), readings, drop=41.0)
+    counts = np.zeros(len(readings), dtype=int)
+    for marginal in sums.marginals():
         start, step, log = marginal.start, marginal.step, marginal.log
         # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.
         cells = start[:, None] + step * np.arange(log.shape[1])
         x, density = interpolate(log - constrain_distance(cells)[1], 8)
         log_slope = constrain_distance(start[:, None] + step * x)[1]
         last = log.shape[1] - 1 - np.isfinite(log[:, ::-1]).argmax(axis=1)
-        for row, own, slope, end in zip(marginal.readings, density, log_slope, last, strict=True):
-            weight = np.exp(own + slope - (own + slope).max())
+        for row, log_density, slope, end in zip(
+            marginal.readings, density, log_slope, last, strict=True
+        ):
+            weight = np.exp(log_density + slope - (log_density + slope).max())
             weight[(x < 1) | (x > end - 1)] = 0.0  # next to what is not known cubics bend
-            counts[row] = _count(own, weight / weight.sum(), share)
+            counts[row] = _count(log_density, weight / weight.sum(), share)
     return counts if y.ndim > 1 else counts[0]
 
 
@@ -343,14 +347,14 @@ def sample(
     rng = np.random.default_rng(seed)
     runs, modes = [], []
     for first in range(0, len(reading), STACKED):
-        rows = reading[first : first + STACKED]
+        readings = reading[first : first + STACKED]
 
-        def density(x: Array, index: Index, rows: Array = rows) -> Array:
-            value = observer.log_density(x, rows[index, None])
+        def density(x: Array, index: Index, readings: Array = readings) -> Array:
+            value = observer.log_density(x, readings[index, None])
             # Beyond, where contacts stay at an end, a density that does would let walkers go.
             return np.where(np.abs(x[..., 0]) < FARTHEST, value, -np.inf)
 
-        start, mode = _start(observer, rows, density, rng)
+        start, mode = _start(observer, readings, density, rng)
         run = sample_stacked(
             density,
             start,
@@ -363,7 +367,7 @@ def sample(
         runs.append(run)
         modes.append(mode)
         if progress:
-            progress(first + len(rows), len(reading))
+            progress(first + len(readings), len(reading))
     run = StackedSample(*map(np.concatenate, zip(*runs, strict=True)))
     mode = observer.space.constrain(np.concatenate(modes))[0]
     columns = np.stack([run.mean, run.sd, run.mcse_mean, run.mcse_sd])
@@ -433,11 +437,11 @@ def _start(
     shape = (along,) * bounded + (others,) * (dim - bounded)
     best = _best_places(density_at(observer, scatter)(reading), reading, shape, places)
     index = np.arange(len(reading))
-    rows = np.repeat(reading, places, axis=0)
-    x, top, covariance = climb(observer, rows, scatter[best.ravel()], 2.0 * dim, 15)
+    repeated = np.repeat(reading, places, axis=0)
+    x, top, covariance = fisher_scoring(observer, repeated, scatter[best.ravel()], 2.0 * dim, 15)
     top = top.reshape(-1, places)
     highest = index * places + top.argmax(axis=1)
-    mode, _, _ = climb(observer, reading, x[highest], 1e-4, 25)
+    mode, _, _ = fisher_scoring(observer, reading, x[highest], 1e-4, 25)
     root = np.linalg.cholesky(covariance).reshape(-1, places, dim, dim)
     mass = top + np.log(np.diagonal(root, axis1=2, axis2=3)).sum(axis=2)
     weight = np.cumsum(np.exp(mass - mass.max(axis=1, keepdims=True)), axis=1)

@@ -83,12 +83,12 @@ class Conditional:
             signals, outcome = observer.cue.signals(
                 observer.whisker, contact, model=observer.solver
             )
-        held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
-        held &= np.isfinite(signals).all(axis=-1)
+        in_contact = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+        in_contact &= np.isfinite(signals).all(axis=-1)
         with np.errstate(all="ignore"):
-            scores = np.where(held[:, None], observer.space.given_scores(contact), 0.0)
-        signals = np.where(held[:, None], signals, 0.0)
-        return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
+            scores = np.where(in_contact[:, None], observer.space.given_scores(contact), 0.0)
+        signals = np.where(in_contact[:, None], signals, 0.0)
+        return Evaluated(contact, np.where(in_contact, log_prior, -np.inf), signals, scores)
 
     def contact_at(self, x: Array, which: Index) -> Array:
         """Contacts (N, U) at coordinates (N, U) and numbers (N,), with all that is given."""
@@ -117,8 +117,8 @@ def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
     for _ in range(5):  # to a millionth of a millionth of the reach
         r = np.linspace(low, high, 258)[1:-1]
         contact = np.column_stack([r, np.tile(further, (len(r), 1))])
-        held = np.flatnonzero(observer.signals(contact)[1] == Outcome.HELD)
-        if not held.size or held[-1] == len(r) - 1:
+        in_contact = np.flatnonzero(observer.signals(contact)[1] == Outcome.HELD)
+        if not in_contact.size or in_contact[-1] == len(r) - 1:
             return float(high)
-        low, high = r[held[-1]], r[held[-1] + 1]
+        low, high = r[in_contact[-1]], r[in_contact[-1] + 1]
     return float(low)

@@ -218,8 +218,8 @@ class ContactCoordinates:
         """The highest ln of the density of priors of the bounded unknowns, by name."""
         p = np.geomspace(1e-6, 0.5, 40)
         p = np.concatenate([p, 1 - p])
-        own = {n: self.prior[n] for n in self.cue.unknowns[: self.bounded] if n in self.prior}
-        return {n: float(np.max(prior.logpdf(prior.ppf(p)))) for n, prior in own.items()}
+        stated = {n: self.prior[n] for n in self.cue.unknowns[: self.bounded] if n in self.prior}
+        return {n: float(np.max(prior.logpdf(prior.ppf(p)))) for n, prior in stated.items()}
 
     def angle_range(self, r: Array, contact: Array | None = None) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance.

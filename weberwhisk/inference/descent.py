@@ -37,23 +37,23 @@ def cell_sums(
     deeper, tries = np.full(len(readings), drop), np.zeros(len(readings), dtype=int)
     waiting = list(_chunks(tree, which, 512))
     while waiting:
-        rows = waiting.pop()
+        subset = waiting.pop()
         if tree.bytes > trees.MEMORY:
             tree.forget()
-        errors = None if covariance is None else covariance[rows]
-        descent = Descent(tree, readings[rows], errors, which[rows], deeper[rows])
-        remaining = descent.run(lowest[rows], 1.25 * trees.MEMORY, out, rows)
-        if remaining.size == rows.size:  # whose cells are too many together
-            waiting += np.array_split(rows, 2)
+        errors = None if covariance is None else covariance[subset]
+        descent = Descent(tree, readings[subset], errors, which[subset], deeper[subset])
+        remaining = descent.run(lowest[subset], 1.25 * trees.MEMORY, out, subset)
+        if remaining.size == subset.size:  # whose cells are too many together
+            waiting += np.array_split(subset, 2)
             continue
         # Again where cells turn out to have been left out too early.
-        missed = descent.missed(drop) if least is None else np.zeros(len(rows))
+        missed = descent.missed(drop) if least is None else np.zeros(len(subset))
         missed[remaining] = 0.0
-        again = rows[missed > 0]
+        again = subset[missed > 0]
         deeper[again] += missed[missed > 0] + 1
         tries[again] += 1
         out.error[again[tries[again] == 3]] = np.inf
-        again = np.append(rows[remaining], again[tries[again] < 3])
+        again = np.append(subset[remaining], again[tries[again] < 3])
         if again.size:
             waiting.append(again)
     # That of a log-normal reading whose sign is not its signal's.
@@ -64,12 +64,12 @@ def cell_sums(
 def glimpse(tree: Tree, readings: Array, covariance: Array | None, which: Index) -> Array:
     """ln of the highest density of readings (B, R) as coarse cells have it, (B,)."""
     out = np.full(len(readings), -np.inf)
-    for rows in _chunks(tree, which, len(which)):
-        errors = None if covariance is None else covariance[rows]
-        descent = Descent(tree, readings[rows], errors, which[rows], np.zeros(len(rows)))
+    for subset in _chunks(tree, which, len(which)):
+        errors = None if covariance is None else covariance[subset]
+        descent = Descent(tree, readings[subset], errors, which[subset], np.zeros(len(subset)))
         pairs = descent.first()
         log = descent.log(pairs, blurred=True)
-        out[rows] = np.maximum.reduceat(log, pairs.first) + descent.log_slope
+        out[subset] = np.maximum.reduceat(log, pairs.first) + descent.log_slope
     return out
 
 
@@ -157,11 +157,11 @@ class Descent:
         cell = np.arange(len(reading)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
         return Pairs(self.tree.start, reading, cell, False)
 
-    def run(self, least: Array, room: float, out: CellSums, rows: Index) -> Index:
+    def run(self, least: Array, room: float, out: CellSums, subset: Index) -> Index:
         """From the coarse cells on, but for readings whose density is nowhere above `least`.
 
-        Sums go to `rows` (n,) of `out`. Returns the readings that remain to do once the tree has
-        outgrown `room` bytes, but finishes a single one.
+        Sums go to readings `subset` (n,) of `out`. Returns the readings that remain to do once the
+        tree has outgrown `room` bytes, but finishes a single one.
         """
         least = least - self.log_slope
         todo = [self.first()]
@@ -193,7 +193,7 @@ class Descent:
                 log, depth = log[kept], (log - top)[kept]
                 pairs = pairs.of(kept)
                 if pairs.is_last:
-                    halving = self._sum(pairs, log, out, rows)
+                    halving = self._sum(pairs, log, out, subset)
                 else:
                     halving = self._too_long(pairs, depth)
                 todo += self._halved(pairs, halving)
@@ -286,11 +286,11 @@ class Descent:
         is_last = (once_halved <= self.tree.share).all(axis=0) | stuck
         return Halving(wide & ~stuck, np.ones(len(first), dtype=bool), np.asarray(is_last))
 
-    def _sum(self, pairs: Pairs, log: Array, out: CellSums, rows: Index) -> Halving:
+    def _sum(self, pairs: Pairs, log: Array, out: CellSums, subset: Index) -> Halving:
         """Sum over lattices; those whose halves disagree are halved along that axis."""
         first, counts, cells = pairs.first, pairs.counts, pairs.level.cells
         reading = pairs.reading[first]
-        at = rows[reading]
+        at = subset[reading]
         lattices = Lattices(pairs.level.step, at, first, cells.place[:, pairs.cell], log)
         contact, slope = cells.contact[:, pairs.cell], self.log_slope[reading]
         each = out.add(lattices, contact, slope, self.tree.smooth)

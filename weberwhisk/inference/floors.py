@@ -88,10 +88,10 @@ def _floors(whisker: Whisker, cue: Cue) -> Array:
     tails[:, space.bounded :] *= 2.4  # as far out as posteriors go over nuisance parameters
     with np.errstate(all="ignore"):
         signals, outcome = cue.signals(whisker, space.constrain(np.concatenate([usual, tails]))[0])
-    held = outcome == Outcome.HELD
-    if held[: len(usual)].any():
-        size = np.median(np.abs(signals[: len(usual)][held[: len(usual)]]), axis=0)
-        least, most = signals[held].min(axis=0), signals[held].max(axis=0)
+    in_contact = outcome == Outcome.HELD
+    if in_contact[: len(usual)].any():
+        size = np.median(np.abs(signals[: len(usual)][in_contact[: len(usual)]]), axis=0)
+        least, most = signals[in_contact].min(axis=0), signals[in_contact].max(axis=0)
         changes = (least < -1e-6 * size) & (most > 1e-6 * size)
         if cue.forward(whisker, np.ones(len(cue.unknowns))).azimuth is not None:
             # It turns round beside the push, and may vanish there.
@@ -107,11 +107,11 @@ def lacking_floors(noise: ReceptorNoise, whisker: Whisker, cue: Cue) -> Array:
     plain = cue.forward(whisker, np.ones(len(cue.unknowns))).is_plain
     one_sign = (*ONE_SIGN, "axial_force") if plain else ONE_SIGN
     lacks = np.array([name.rstrip("_0123456789") not in one_sign for name in cue.signal_names])
-    for own, signals, _ in noise.components(len(lacks)):
-        if own.is_categorical or not own.reads_signals:
+    for component, signals, _ in noise.components(len(lacks)):
+        if component.is_categorical or not component.reads_signals:
             lacks[signals] = False
         elif lacks[signals].any():
-            lacks[signals] &= own.sd(np.zeros(lacks[signals].size)) == 0
+            lacks[signals] &= component.sd(np.zeros(lacks[signals].size)) == 0
     if not lacks.any():  # before signals are worked out
         return np.zeros(len(lacks))
     return np.where(lacks, _floors(whisker, cue), 0.0)
@@ -153,10 +153,10 @@ def check_noise(noise: ReceptorNoise, whisker: Whisker, cue: Cue, is_flat: bool)
     size = len(cue.signal_names)
     count = noise.reading_size(size)
     try:
-        spread = np.shape(noise.sd(np.ones(size)))
+        shape = np.shape(noise.sd(np.ones(size)))
     except ValueError:  # as many values as some other cue has signals
-        spread = ()
-    if spread != (count,):
+        shape = ()
+    if shape != (count,):
         raise Refusal(
             f"The noise is not of {size} signals ({', '.join(cue.signal_names)})",
             f"{noise!r}",

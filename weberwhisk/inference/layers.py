@@ -143,33 +143,33 @@ class LayeredSums:
                 setattr(self, name, np.concatenate([table, room]))
         return np.array([self.numbers[key] for key in every]).reshape(*map(len, keys))
 
-    def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
+    def _evaluate(self, keys: list[Index], subset: Index, before: tuple[Any, ...]) -> None:
         """Ask the tree at all nodes that may have mass."""
         grid = self._grid(keys).ravel()
-        at = np.ix_(grid, rows)
+        at = np.ix_(grid, subset)
         if before:
-            without, guess = self._bound(keys, rows, *before)
+            without, guess = self._bound(keys, subset, *before)
             without &= np.isnan(self.log[at])
             self.log[at] = np.where(without, -np.inf, self.log[at])
             self.guess[at] = np.where(without, guess, self.guess[at])
         best = np.full(len(self.readings), -np.inf)
-        best[rows] = np.fmax.reduce(self.log[at], axis=0, initial=-np.inf)
+        best[subset] = np.fmax.reduce(self.log[at], axis=0, initial=-np.inf)
         new = np.isnan(self.log[at])
         if not before:  # first the node where each reading is most probable at a glance
             node, row = np.nonzero(np.ones_like(new))
-            readings, covariance, slope = self._asked(grid[node], rows[row])
+            readings, covariance, slope = self._for_tree(grid[node], subset[row])
             seen = glimpse(self.layers.tree, readings, covariance, self.given[grid[node]]) + slope
             most = np.zeros_like(new)
-            most[seen.reshape(new.shape).argmax(axis=0), np.arange(len(rows))] = True
-            self._ask(grid, rows, most & new, best)
-        self._ask(grid, rows, np.isnan(self.log[at]), best)
+            most[seen.reshape(new.shape).argmax(axis=0), np.arange(len(subset))] = True
+            self._ask(grid, subset, most & new, best)
+        self._ask(grid, subset, np.isnan(self.log[at]), best)
 
     def _bound(
-        self, keys: list[Index], rows: Index, halvings: Index, before: Index
+        self, keys: list[Index], subset: Index, halvings: Index, before: Index
     ) -> tuple[Flags, Array]:
         """Whether nodes (N, n) have next to no mass, by those beside them, and a guess of it."""
         old = self._grid(self._keys(halvings))
-        log = self.guess[np.ix_(old.ravel(), rows)].reshape(*old.shape, len(rows))
+        log = self.guess[np.ix_(old.ravel(), subset)].reshape(*old.shape, len(subset))
         # Between nodes it may be higher by an eighth of its second difference, as a parabola is:
         # twice that is allowed for.
         rise = np.zeros_like(log)
@@ -180,9 +180,9 @@ class LayeredSums:
                 pad = [(1, 1) if i == d else (0, 0) for i in range(log.ndim)]
                 second = np.diff(np.pad(log, pad, mode="reflect", reflect_type="odd"), 2, axis=d)
             rise += np.abs(second) / 4
-        possible = log + rise > log.reshape(-1, len(rows)).max(axis=0) - self.drop
-        for d, (axis, own) in enumerate(zip(self.axes, keys, strict=True)):
-            if len(own) > old.shape[d]:  # a new node between any two
+        possible = log + rise > log.reshape(-1, len(subset)).max(axis=0) - self.drop
+        for d, (axis, nodes) in enumerate(zip(self.axes, keys, strict=True)):
+            if len(nodes) > old.shape[d]:  # a new node between any two
                 log, possible = np.moveaxis(log, d, 0), np.moveaxis(possible, d, 0)
                 after, later = np.roll(log, -1, axis=0), np.roll(possible, -1, axis=0)
                 log = np.stack([log, (log + after) / 2], axis=1).reshape(-1, *log.shape[1:])
@@ -190,46 +190,49 @@ class LayeredSums:
                 possible = both.reshape(-1, *possible.shape[1:])
                 end = None if axis.around else -1
                 log, possible = np.moveaxis(log[:end], 0, d), np.moveaxis(possible[:end], 0, d)
-        return ~possible.reshape(-1, len(rows)), log.reshape(-1, len(rows))
+        return ~possible.reshape(-1, len(subset)), log.reshape(-1, len(subset))
 
-    def _asked(self, nodes: Index, rows: Index) -> tuple[Array, Array | None, Array]:
+    def _for_tree(self, nodes: Index, subset: Index) -> tuple[Array, Array | None, Array]:
         """What to ask of the tree of pairs (P,) of the number of a node and a reading.
 
         Readings, covariances, and ln of Jacobian times prior.
         """
         at = self.nodes[nodes].T
         values = self.layers.values(at)
-        covariance = None if self.covariance is None else self.covariance[rows]
-        readings, covariance, more = self.layers.asked(self.readings[rows], covariance, values)
+        covariance = None if self.covariance is None else self.covariance[subset]
+        readings, covariance, more = self.layers.for_tree(self.readings[subset], covariance, values)
         return readings, covariance, self.layers.log_prior(at, values) + more
 
-    def _ask(self, grid: Index, rows: Index, wanted: Flags, best: Array) -> None:
-        """Sum over the cells of `wanted` (N, n) nodes and rows, beside the `best` (B,) known."""
-        node, row = np.nonzero(wanted)
+    def _ask(self, grid: Index, subset: Index, chosen: Flags, best: Array) -> None:
+        """Sum over the cells of `chosen` (N, n) pairs of a node and a reading of the `subset`.
+
+        With the `best` (B,) evidence of each reading so far.
+        """
+        node, row = np.nonzero(chosen)
         if not node.size:
             return
-        node, row = grid[node], rows[row]
-        readings, covariance, slope = self._asked(node, row)
+        node, row = grid[node], subset[row]
+        readings, covariance, slope = self._for_tree(node, row)
         least = best[row] - 2 * self.drop
         sums = cell_sums(
             self.layers.tree, readings, covariance, which=self.given[node], drop=self.drop,
             least=least - slope,
         )  # fmt: skip
-        known = np.isfinite(sums.log_evidence)
-        log = np.where(known, sums.log_evidence + slope, -np.inf)
+        has_mass = np.isfinite(sums.log_evidence)
+        log = np.where(has_mass, sums.log_evidence + slope, -np.inf)
         np.maximum.at(best, row, log)
         self.log[node, row] = log
-        self.guess[node, row] = np.maximum(np.where(known, log, least), -1e5)
+        self.guess[node, row] = np.maximum(np.where(has_mass, log, least), -1e5)
         self.mean_at[node, row], self.sd_at[node, row] = np.nan_to_num([sums.mean, sums.sd])
-        self.error_at[node, row] = np.where(known, sums.error, 0.0)
+        self.error_at[node, row] = np.where(has_mass, sums.error, 0.0)
         self.part[node, row], self.pair[node, row] = len(self.at_nodes), np.arange(len(row))
         self.at_nodes.append(AtNodes(sums, row, self.nodes[node], log))
 
-    def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
+    def _sum(self, keys: list[Index], halvings: Index, subset: Index) -> Array:
         """Sum over nodes; about how far off the sums along each axis are, (D, n)."""
         inner = self.layers.inner
         number = self._grid(keys)
-        at = np.ix_(number.ravel(), rows)
+        at = np.ix_(number.ravel(), subset)
         log, mean, sd = self.log[at], self.mean_at[at], self.sd_at[at]
         top = log.max(axis=0)
         with np.errstate(invalid="ignore"):
@@ -240,19 +243,19 @@ class LayeredSums:
         for axis, at_node in zip(self.axes, self.layers.values(grid), strict=True):
             value = np.broadcast_to(at_node[:, None], log.shape)
             if axis.around and not axis.from_plane:  # a half turn from the best to either side
-                at_best = value[best, np.arange(len(rows))]
+                at_best = value[best, np.arange(len(subset))]
                 value = at_best + within_half_turn(value - at_best)
             values.append(value)
-            middle.append(value[best, np.arange(len(rows))])
+            middle.append(value[best, np.arange(len(subset))])
 
         # Of the unknowns at a node the conditional posteriors, of the others the values.
         means = np.concatenate([mean, np.stack(values, axis=-1)], axis=-1)
         sds = np.concatenate([sd, np.zeros((*log.shape, len(values)))], axis=-1)
         whole = mixture_moments(weight[..., None], means, sds)
-        self.mean[rows], self.sd[rows], total = whole.mean, whole.sd, whole.total[..., 0]
+        self.mean[subset], self.sd[subset], total = whole.mean, whole.sd, whole.total[..., 0]
         least_sd = np.maximum(whole.sd, 1e-300)
-        each = np.zeros((len(keys), len(rows)))
-        count = [(own - k[0]) // (k[1] - k[0]) for own, k in zip(grid, keys, strict=True)]
+        each = np.zeros((len(keys), len(subset)))
+        count = [(at_axis - k[0]) // (k[1] - k[0]) for at_axis, k in zip(grid, keys, strict=True)]
         for axes, half in halves(np.stack(count)):
             part = mixture_moments((weight * half[:, None])[..., None], means, sds)
             share = part.total / whole.total
@@ -267,53 +270,53 @@ class LayeredSums:
         for d, axis in enumerate(self.axes):
             sides = [_shifted(at_node, k, axis=d, circle=axis.around) for k in (-1, 1)]
             ends = np.min(sides, axis=0) < at_node - 6.0
-            each[d] = np.maximum(each[d], 0.5 * (share * ends).reshape(-1, len(rows)).sum(axis=0))
+            each[d] = np.maximum(each[d], 0.5 * (share * ends).reshape(-1, len(subset)).sum(axis=0))
         inside = (weight * self.error_at[at]).sum(axis=0)
-        self.error[rows] = np.maximum(each.max(axis=0), inside / total)
+        self.error[subset] = np.maximum(each.max(axis=0), inside / total)
         steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
-        self.log_evidence[rows] = top + np.log(total) + steps
+        self.log_evidence[subset] = top + np.log(total) + steps
         for i, value in enumerate(middle):
-            self.best[rows, inner + i] = value
-        which = number.ravel()[best], rows
+            self.best[subset, inner + i] = value
+        which = number.ravel()[best], subset
         for k in np.unique(self.part[which]):
-            mine = rows[self.part[which] == k]
+            mine = subset[self.part[which] == k]
             pair = self.pair[which][self.part[which] == k]
             self.best[mine, :inner] = self.at_nodes[k].sums.best[pair]
         none = ~np.isfinite(top)
-        self.error[rows[none]], self.log_evidence[rows[none]] = np.inf, np.nan
-        self.mean[rows[none]], self.sd[rows[none]] = np.nan, np.nan
+        self.error[subset[none]], self.log_evidence[subset[none]] = np.inf, np.nan
+        self.mean[subset[none]], self.sd[subset[none]] = np.nan, np.nan
         return each
 
     # -- quantiles and draws -----------------------------------------------------------------------
 
-    def _refine(self, rows: Index, criterion: Criterion) -> None:
+    def _refine(self, subset: Index, criterion: Criterion) -> None:
         """Halve nodes of readings whose conditional posteriors fail a criterion between them."""
-        while rows.size:
+        while subset.size:
             left = []
-            for halvings in np.unique(self.halvings[rows], axis=0):
-                own = rows[(self.halvings[rows] == halvings).all(axis=1)]
-                bad = self._failing(self._keys(halvings), own, criterion)
+            for halvings in np.unique(self.halvings[subset], axis=0):
+                group = subset[(self.halvings[subset] == halvings).all(axis=1)]
+                bad = self._failing(self._keys(halvings), group, criterion)
                 bad &= (halvings < HALVINGS)[:, None]
                 again = bad.any(axis=0)
                 if again.any():
                     finer = halvings + bad.any(axis=1)
-                    self._evaluate(self._keys(finer), own[again], (halvings, own[again]))
-                    self.halvings[own[again]] = finer
-                    left.append(own[again])
-            rows = np.concatenate(left) if left else rows[:0]
+                    self._evaluate(self._keys(finer), group[again], (halvings, group[again]))
+                    self.halvings[group[again]] = finer
+                    left.append(group[again])
+            subset = np.concatenate(left) if left else subset[:0]
 
-    def _failing(self, keys: list[Index], rows: Index, criterion: Criterion) -> Flags:
+    def _failing(self, keys: list[Index], subset: Index, criterion: Criterion) -> Flags:
         """Along which axes posteriors at nodes fail a criterion, (D, B)."""
         grid = self._grid(keys)
-        at = np.ix_(grid.ravel(), rows)
-        shape = *grid.shape, len(rows)
+        at = np.ix_(grid.ravel(), subset)
+        shape = *grid.shape, len(subset)
         log = (self.log[at] - self.log[at].max(axis=0)).reshape(shape)
         mean, sd = (table[at].reshape(*shape, -1) for table in (self.mean_at, self.sd_at))
-        out = np.zeros((len(keys), len(rows)), dtype=bool)
+        out = np.zeros((len(keys), len(subset)), dtype=bool)
         for d, axis in enumerate(self.axes):
             beside = Neighbours(log, mean, sd, d, axis.around)
             with np.errstate(invalid="ignore", divide="ignore"):
-                out[d] = (criterion.excess(beside).reshape(-1, len(rows)) > 1).any(axis=0)
+                out[d] = (criterion.excess(beside).reshape(-1, len(subset)) > 1).any(axis=0)
         return out
 
     def _box(self, row: int) -> tuple[list[Index], Index, Array]:
@@ -325,19 +328,19 @@ class LayeredSums:
         best = np.unravel_index(log.argmax(), log.shape)
         out = []
         for d, axis in enumerate(self.axes):
-            own = keys[d]
+            nodes = keys[d]
             if axis.around:  # from the node opposite to the best on
-                shift = len(own) // 2 - int(best[d])
+                shift = len(nodes) // 2 - int(best[d])
                 log, number = np.roll(log, shift, axis=d), np.roll(number, shift, axis=d)
-                step = own[1] - own[0]
-                own = own[best[d]] + step * (np.arange(len(own)) - len(own) // 2)
-            along = np.moveaxis(log, d, 0).reshape(len(own), -1).max(axis=1)
+                step = nodes[1] - nodes[0]
+                nodes = nodes[best[d]] + step * (np.arange(len(nodes)) - len(nodes) // 2)
+            along = np.moveaxis(log, d, 0).reshape(len(nodes), -1).max(axis=1)
             live = np.flatnonzero(along > log.max() - self.drop)
-            low, high = max(live[0] - 1, 0), min(live[-1] + 2, len(own))
+            low, high = max(live[0] - 1, 0), min(live[-1] + 2, len(nodes))
             if high - low < 2:
-                low, high = max(low - 1, 0), min(high + 1, len(own))
+                low, high = max(low - 1, 0), min(high + 1, len(nodes))
             log, number = (np.take(a, np.arange(low, high), axis=d) for a in (log, number))
-            out.append(own[low:high])
+            out.append(nodes[low:high])
         return out, number, log
 
     def quantiles(self, p: Array, unknown: int) -> Array:
@@ -348,10 +351,10 @@ class LayeredSums:
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of an unknown, for one reading at a time; half as many with a stride of 2."""
         inner = self.layers.inner
-        known = np.flatnonzero(np.isfinite(self.log_evidence))
+        solved = np.flatnonzero(np.isfinite(self.log_evidence))
         if unknown < inner:
-            self._refine(known, IsSmooth(self.drop))
-        for row in known:
+            self._refine(solved, IsSmooth(self.drop))
+        for row in solved:
             keys, number, log = self._box(int(row))
             at = np.array([row])
             d = unknown - inner
@@ -359,21 +362,21 @@ class LayeredSums:
                 of_roll = self._rolls(d, keys, log, stride)
                 yield mixed(at, *of_roll, SCORES[::stride], PARTS // stride)
             elif d >= 0:
-                other = tuple(i for i in range(log.ndim) if i != d)
-                along = np.logaddexp.reduce(log, axis=other) if other else log
+                rest = tuple(i for i in range(log.ndim) if i != d)
+                along = np.logaddexp.reduce(log, axis=rest) if rest else log
                 x, fine = interpolate(along[None], 2 * PARTS // stride)
                 step = keys[d][1] - keys[d][0]
                 value = self.axes[d].value(keys[d][0] + step * x)
                 yield spans_between(at, value[None], fine)
             else:
-                held = log > log.max() - self.drop
+                heavy = log > log.max() - self.drop
                 quantile = np.full((*log.shape, len(SCORES)), np.nan)
-                for i in zip(*np.nonzero(held), strict=True):
+                for i in zip(*np.nonzero(heavy), strict=True):
                     part, pair = self._place(number[i], int(row))
                     quantile[i] = self._conditional(part, unknown)[pair]
-                held &= np.isfinite(quantile[..., 0])
+                heavy &= np.isfinite(quantile[..., 0])
                 quantile = quantile[..., ::stride]
-                yield mixed(at, log, held, quantile, SCORES[::stride], PARTS // stride)
+                yield mixed(at, log, heavy, quantile, SCORES[::stride], PARTS // stride)
 
     def _rolls(
         self, roll: int, keys: list[Index], log: Array, stride: int
@@ -405,9 +408,9 @@ class LayeredSums:
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
         """Draws (B, count, U) of the contact, given the readings (B, R)."""
         out = np.full((len(self.readings), count, len(self.observer.unknowns)), np.nan)
-        known = np.flatnonzero(np.isfinite(self.log_evidence))
-        self._refine(known, Overlap())
-        for row in known:
+        solved = np.flatnonzero(np.isfinite(self.log_evidence))
+        self._refine(solved, Overlap())
+        for row in solved:
             keys, number, log = self._box(int(row))
             weight = np.exp(0.75 * (log - log.max())).ravel()
             weight /= weight.sum()
@@ -415,16 +418,16 @@ class LayeredSums:
             x, z, log_of = [], [], []
             for i in np.flatnonzero(many):
                 at = np.unravel_index(i, log.shape)
-                own = tuple(k[j] for k, j in zip(keys, at, strict=True))
+                centre = tuple(k[j] for k, j in zip(keys, at, strict=True))
                 part, pair = self._place(number[at], int(row))
                 proposed, log_proposed = part.sums.proposals(int(many[i]), rng, pair)
                 x.append(proposed)
                 step = np.array([k[1] - k[0] for k in keys])
-                z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
+                z.append(centre + step * (rng.random((len(x[-1]), len(centre))) - 0.5))
                 log_of.append(log_proposed + np.log(weight[i]))
-            some, node = np.concatenate(x), np.concatenate(z)
+            inner, node = np.concatenate(x), np.concatenate(z)
             further = self.layers.values(node.T)
-            contact, log_density = self.observer.space.constrain(some, further=further)
+            contact, log_density = self.observer.space.constrain(inner, further=further)
             log_density += self.layers.log_prior(node.T, further)
             log_density += self.observer.log_likelihood(self.readings[row], contact)
             chosen = resampled(log_density - np.concatenate(log_of), count, rng)

@@ -98,11 +98,11 @@ def posterior(
         )
     kind("observer", observer, "an Observer", "checked_reading", "write ww.Observer(whisker, cue)")
     y = observer.checked_reading(reading, missing=True)
-    rows = y.reshape(-1, y.shape[-1])
-    given = np.isfinite(rows).all(axis=1)
-    nothing = given & _of_no_contact(observer, rows)
+    readings = y.reshape(-1, y.shape[-1])
+    given = np.isfinite(readings).all(axis=1)
+    nothing = given & _of_no_contact(observer, readings)
     usable = given & ~nothing
-    requested, row = rows[usable], np.full(len(rows), -1)
+    requested, row = readings[usable], np.full(len(readings), -1)
     row[usable] = np.arange(len(requested))
     if observer.noise.is_categorical:  # few things can happen: each is solved once
         requested, back = np.unique(requested, axis=0, return_inverse=True)
@@ -120,8 +120,8 @@ def posterior(
         cut = _cut_off(observer, solution) & (solution.status == Status.CONVERGED)
         solution.status[cut] = Status.NOT_CONVERGED if method == "emcee" else Status.NOT_GAUSSIAN
     solution.status[nothing] = Status.NO_CONTACT
-    _hint_at_units(observer, rows, solution, int(usable.sum()))
-    solution.status[_outside(observer, rows, solution)] = Status.OUTSIDE_DOMAIN
+    _hint_at_units(observer, readings, solution, int(usable.sum()))
+    solution.status[_outside(observer, readings, solution)] = Status.OUTSIDE_DOMAIN
     return Posterior.of(observer, y, method, solution)
 
 
@@ -154,8 +154,8 @@ def _outside(observer: Observer, reading: Array, solution: AtReadings) -> Flags:
     return np.asarray(outside & (solution.status == Status.CONVERGED))
 
 
-def _hint_at_units(observer: Observer, reading: Array, solution: AtReadings, known: int) -> None:
-    """Warn of readings (B, R), of which so many are known, whose unit may be another.
+def _hint_at_units(observer: Observer, reading: Array, solution: AtReadings, usable: int) -> None:
+    """Warn where the unit of readings (B, R), so many of them usable, seems to be wrong.
 
     More than half of them are above 30 times what is usual, and explained by no contact, or by one
     within a hundredth of the reach of the base.
@@ -166,10 +166,10 @@ def _hint_at_units(observer: Observer, reading: Array, solution: AtReadings, kno
     low, high = observer.reach
     at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
     outlier = (times > 30).any(axis=1) & (at_base | (solution.status == Status.IMPROBABLE_READING))
-    if outlier.sum() * 2 > known:
+    if outlier.sum() * 2 > usable:
         first = int(np.argmax(outlier))
         warn(
-            f"{outlier.sum()} of {known} readings far above what this whisker gives, the "
+            f"{outlier.sum()} of {usable} readings far above what this whisker gives, the "
             f"first {reading[first].tolist()}, {times[first].max():.3g} times the usual; readings "
             "are in SI units (N m, N, rad): did you pass mN?",
             stacklevel=3,

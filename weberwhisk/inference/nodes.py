@@ -78,7 +78,7 @@ class Axis:
         return np.asarray(np.log(slope) - 0.5 * (z * z + np.log(2 * np.pi)))
 
     @cached_property
-    def known(self) -> str:
+    def symmetry(self) -> str:
         """How signals at any value follow from those at one, "" where they do not.
 
         All are proportional to a "stiffness"; the directions of a straight whisker's forces are
@@ -87,7 +87,7 @@ class Axis:
         """
         cue, noise = self.observer.cue, self.observer.noise
         if self.name == "stiffness" and cue.is_scale and noise.is_scale_family:
-            return "scaled"
+            return "rescaled"
         if self.name == "roll":
             return "as they are" if self.observer.forward.is_flat else "turned" * self.from_plane
         if self.name == "azimuth" and self.observer.forward.is_flat:
@@ -110,12 +110,12 @@ class Axis:
         # A narrower prior is a ridge of both azimuths, finer than their step after two halvings.
         return bool(beyond < 1e-9 and prior.std() > 2 * np.pi / (4 * TURN))
 
-    def asked(self, readings: Array, covariance: Array | None, value: Array) -> Any:
+    def for_tree(self, readings: Array, covariance: Array | None, value: Array) -> Any:
         """Readings and covariances to ask of the tree at values (P,), and ln of the Jacobian."""
-        if self.known == "turned":
+        if self.symmetry == "turned":
             readings = readings.copy()
             readings[:, self.observer.circular] -= value[:, None]
-        if self.known == "scaled":
+        if self.symmetry == "rescaled":
             size = readings.shape[1]
             covariance = None if covariance is None else covariance / value[:, None, None] ** 2
             return readings / value[:, None], covariance, -size * np.log(value)
@@ -127,8 +127,8 @@ def _is_isotropic(observer: Observer) -> bool:
     size, circular = len(observer.cue.signal_names), np.asarray(observer.cue.circular)
     if not observer.cue.is_isotropic or np.any(observer.noise.weber_fractions(size)[circular] != 0):
         return False
-    parts = observer.noise.components(size)
-    return all(c.noise.gaussian_on == "linear" for c in parts if circular[c.signals].any())
+    components = observer.noise.components(size)
+    return all(c.noise.gaussian_on == "linear" for c in components if circular[c.signals].any())
 
 
 class Layers:
@@ -164,11 +164,11 @@ class Layers:
     def further(self, nodes: Array) -> Array:
         """In the tree that serves nodes (D, P), values (P, F) of what has a prior alone."""
         at = dict(zip((axis.name for axis in self.axes), nodes, strict=True)) | self.given
-        standard: dict[str, Any] = {"scaled": 1.0, "turned": 0.0}
+        standard: dict[str, Any] = {"rescaled": 1.0, "turned": 0.0}
         out = {
-            axis.name: standard[axis.known]
-            if axis.known in standard
-            else axis.value(0 if axis.known else at[axis.name])
+            axis.name: standard[axis.symmetry]
+            if axis.symmetry in standard
+            else axis.value(0 if axis.symmetry else at[axis.name])
             for axis in self._all
         }
         if self.rolled:  # all as without a roll
@@ -176,11 +176,11 @@ class Layers:
         columns = [np.broadcast_to(value, nodes.shape[1:]) for value in out.values()]
         return np.stack(columns, axis=-1)
 
-    def asked(self, readings: Array, covariance: Array | None, values: list[Array]) -> Any:
+    def for_tree(self, readings: Array, covariance: Array | None, values: list[Array]) -> Any:
         """Readings and covariances to ask of the tree at values (P,), and ln of the Jacobian."""
         slope: Any = 0.0
         for axis, value in zip(self.axes, values, strict=True):
-            readings, covariance, more = axis.asked(readings, covariance, value)
+            readings, covariance, more = axis.for_tree(readings, covariance, value)
             slope += more
         return readings, covariance, slope
 

@@ -129,18 +129,18 @@ class Observer(Fields):
         if self.noise is before.noise:
             set_(self, "noise", None)
         if isinstance(self.prior, Mapping):
-            own = before.priors
-            set_(self, "prior", {n: p for n, p in self.prior.items() if own.get(n) is not p})
+            inherited = before.priors
+            set_(self, "prior", {n: p for n, p in self.prior.items() if inherited.get(n) is not p})
         given = priors_of(self.prior, self.cue)
-        own = {n: p for n, p in self.cue.priors(self.whisker).items() if n not in given}
-        prior = {**own, **given}
+        cue_priors = {n: p for n, p in self.cue.priors(self.whisker).items() if n not in given}
+        prior = {**cue_priors, **given}
         if isinstance(self.model, model_choice.Chosen):  # by an observer that this one is made from
             set_(self, "model", None)
         if self.model is not None:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
         positive_number("tolerance", self.tolerance, "give a fraction of the JND, such as 0.1")
         usual = default_noise(self.whisker, self.cue) if self.noise is None else None
-        set_(self, "_filled", _Filled(usual, MappingProxyType(own)))
+        set_(self, "_filled", _Filled(usual, MappingProxyType(cue_priors)))
         set_(self, "noise", self.noise if usual is None else usual)
         set_(self, "prior", MappingProxyType(prior))
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
@@ -306,9 +306,9 @@ class Observer(Fields):
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
         signals, outcome = self.signals(contact)
-        held = outcome == Outcome.HELD
-        value = self.log_reading(reading, np.where(held[..., None], signals, 1.0))
-        return np.where(held, value, -np.inf)
+        in_contact = outcome == Outcome.HELD
+        value = self.log_reading(reading, np.where(in_contact[..., None], signals, 1.0))
+        return np.where(in_contact, value, -np.inf)
 
     def log_reading(self, reading: ArrayLike, signals: Array) -> Array:
         """ln p(reading | signals), (...), of readings (..., R) and signals (..., S)."""
@@ -344,11 +344,11 @@ class Observer(Fields):
         """
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.signals(contact)
-        held = (outcome == Outcome.HELD)[..., None]
+        in_contact = (outcome == Outcome.HELD)[..., None]
         slope = self.cue.jacobian(self.whisker, contact, model=self.solver)
-        inner = self.noise.fisher(np.where(held, signals, 1.0))
+        inner = self.noise.fisher(np.where(in_contact, signals, 1.0))
         value = np.swapaxes(slope, -1, -2) @ inner @ slope
-        return np.where(held[..., None], value, np.nan)
+        return np.where(in_contact[..., None], value, np.nan)
 
     # -- readings ------------------------------------------------------------------------------
 
@@ -361,13 +361,13 @@ class Observer(Fields):
         """
         y = self.checked_reading(reading, missing=True)
         if not (hasattr(self.cue, "reading_outcome") and self.noise.reads_signals):
-            known = np.isfinite(y).all(axis=-1)
-            return np.where(known, Outcome.HELD, Outcome.NOT_A_READING).astype(np.int8)
-        rows = y.reshape(-1, y.shape[-1])
-        outcome = np.full(len(rows), Outcome.NOT_A_READING, dtype=np.int8)
-        known = np.isfinite(rows).all(axis=1)
-        if known.any():
-            outcome[known] = self.cue.reading_outcome(self.whisker, rows[known])
+            is_finite = np.isfinite(y).all(axis=-1)
+            return np.where(is_finite, Outcome.HELD, Outcome.NOT_A_READING).astype(np.int8)
+        readings = y.reshape(-1, y.shape[-1])
+        outcome = np.full(len(readings), Outcome.NOT_A_READING, dtype=np.int8)
+        is_finite = np.isfinite(readings).all(axis=1)
+        if is_finite.any():
+            outcome[is_finite] = self.cue.reading_outcome(self.whisker, readings[is_finite])
         return outcome.reshape(y.shape[:-1])
 
     @cached_property

@@ -98,20 +98,20 @@ def one_distance(
     if not names:
         return _products(groups, every, prior, spans, None, 0, power)
     axis = Axis(names[0], observer)
-    known: list[dict[int, OneDistance]] = [{} for _ in every]
+    at_nodes: list[dict[int, OneDistance]] = [{} for _ in every]
     for halvings in range(HALVINGS + 1):
         nodes = axis.nodes(halvings)
         for node in nodes.tolist():
-            wanted = [i for i in every if _is_near(known[i], node, int(nodes[1] - nodes[0]))]
-            found = _products(groups, np.array(wanted), prior, spans, axis, node, power)
+            new = [i for i in every if _is_near(at_nodes[i], node, int(nodes[1] - nodes[0]))]
+            posteriors = _products(groups, np.array(new), prior, spans, axis, node, power)
             log_prior = float(axis.log_prior(node))
-            for i, one in zip(wanted, found, strict=True):
-                known[i][node] = replace(one, log_evidence=one.log_evidence + log_prior)
-        error = {i: _summed(axis, known[i], nodes)[2] for i in every}
+            for i, one in zip(new, posteriors, strict=True):
+                at_nodes[i][node] = replace(one, log_evidence=one.log_evidence + log_prior)
+        error = {i: _summed(axis, at_nodes[i], nodes)[2] for i in every}
         every = np.array([i for i in every if error[i] > TOLERANCE], dtype=int)
         if not every.size:
             break
-    return [_mixture(axis, nodes) for nodes in known]
+    return [_mixture(axis, nodes) for nodes in at_nodes]
 
 
 def _without_prior(observer: Observer) -> Observer:
@@ -139,7 +139,7 @@ def _sums(
     """Weighted cells of some of the readings, and ln of the evidence that they stand for."""
     slope = 0.0
     if axis:
-        y, covariance, slope = axis.asked(y, covariance, np.repeat(axis.value(node), len(y)))
+        y, covariance, slope = axis.for_tree(y, covariance, np.repeat(axis.value(node), len(y)))
     layers = Layers(observer, TOLERANCE, given={axis.name: node} if axis else None)
     if not layers.axes:
         which = np.repeat(layers.numbers(np.empty((0, 1))), len(y)) if axis else None
@@ -163,17 +163,17 @@ def _components(
     """Of each reading what its posterior is a sum of, and the error of its sums."""
     out: list[list[Component]] = [[] for _ in group.readings]
     every = []
-    for rows, sums, log in _sums(group.observer, group.readings, group.covariance, axis, node):
-        every.append((rows, log, sums.error))
+    for number, sums, log in _sums(group.observer, group.readings, group.covariance, axis, node):
+        every.append((number, log, sums.error))
         for i, one in _layers(sums, spans):
             if np.isfinite(log[i]):
                 norm = log[i] - sums.log_evidence[i]
-                out[rows[i]].append(one._replace(log=one.log + norm))
-    rows, log, error = map(np.concatenate, zip(*every, strict=True))
+                out[number[i]].append(one._replace(log=one.log + norm))
+    number, log, error = map(np.concatenate, zip(*every, strict=True))
     top = np.full(len(out), -1e300)
-    np.fmax.at(top, rows, log)
-    weight = np.exp(np.where(np.isfinite(log), log - top[rows], -np.inf))
-    total, off = (np.bincount(rows, w, len(out)) for w in (weight, weight * np.fmin(error, 1.0)))
+    np.fmax.at(top, number, log)
+    weight = np.exp(np.where(np.isfinite(log), log - top[number], -np.inf))
+    total, off = (np.bincount(number, w, len(out)) for w in (weight, weight * np.fmin(error, 1.0)))
     return out, off / np.fmax(total, 1e-300)
 
 
@@ -211,13 +211,13 @@ def _layers(sums: CellSums, spans: Array | None) -> Iterator[tuple[int, Componen
 class _Curve:
     """ln of the density of one reading over the first coordinate, (K,) of them, by splines."""
 
-    def __init__(self, parts: list[Component]) -> None:
-        self.top = max(float(part.log.max()) for part in parts)
-        parts = [part for part in parts if part.log.max() > self.top - 2 * DROP]
-        self.low = min(part.start for part in parts)
-        self.high = max(part.start + part.step * (len(part.log) - 1) for part in parts)
+    def __init__(self, components: list[Component]) -> None:
+        self.top = max(float(part.log.max()) for part in components)
+        components = [part for part in components if part.log.max() > self.top - 2 * DROP]
+        self.low = min(part.start for part in components)
+        self.high = max(part.start + part.step * (len(part.log) - 1) for part in components)
         self._splines = []
-        for start, step, log in parts:
+        for start, step, log in components:
             place = np.arange(len(log), dtype=float)
             log = np.maximum(log, log.max() - 60.0)
             whole = log[:, 0] > log.max() - 59.0
@@ -250,15 +250,15 @@ def _products(
     curves: dict[int, list[_Curve | None]] = {int(i): [] for i in sets}
     errors: dict[int, list[float]] = {int(i): [] for i in sets}
     for group in groups:
-        rows = np.flatnonzero(np.isin(group.owner, sets))
-        if not rows.size:
+        in_sets = np.flatnonzero(np.isin(group.owner, sets))
+        if not in_sets.size:
             continue
-        own = None if group.covariance is None else group.covariance[rows]
-        group = group._replace(readings=group.readings[rows], covariance=own)
+        covariance = None if group.covariance is None else group.covariance[in_sets]
+        group = group._replace(readings=group.readings[in_sets], covariance=covariance)
         components, error = _components(group, axis, node, spans)
-        for row, some, e in zip(rows, components, error, strict=True):
-            curves[int(group.owner[row])].append(_Curve(some) if some else None)
-            errors[int(group.owner[row])].append(float(e))
+        for number, of_one, e in zip(in_sets, components, error, strict=True):
+            curves[int(group.owner[number])].append(_Curve(of_one) if of_one else None)
+            errors[int(group.owner[number])].append(float(e))
     # Infinitely many sds from every contact, as no tree follows, is no distance in common.
     observer = groups[0].observer
     value = float(axis.value(node)) if axis else None
@@ -342,34 +342,34 @@ def _log_prior(observer: Observer, x: Array, value: float | None) -> Array:
 # -- sums over what is shared ----------------------------------------------------------------------
 
 
-def _is_near(known: dict[int, OneDistance], node: int, step: int) -> bool:
+def _is_near(at_nodes: dict[int, OneDistance], node: int, step: int) -> bool:
     """Whether a node is new, and beside those that have mass."""
-    if node in known:
+    if node in at_nodes:
         return False
-    if not known:
+    if not at_nodes:
         return True
     old = 2 * step
-    if any((k - node) % old == 0 for k in known) and len(known) < 3:
+    if any((k - node) % old == 0 for k in at_nodes) and len(at_nodes) < 3:
         return True
-    top = max(one.log_evidence for one in known.values())
-    near = [k for k in known if abs(k - node) <= old]
-    return any(known[k].log_evidence > top - 24.0 for k in near)
+    top = max(one.log_evidence for one in at_nodes.values())
+    near = [k for k in at_nodes if abs(k - node) <= old]
+    return any(at_nodes[k].log_evidence > top - 24.0 for k in near)
 
 
 def _summed(
-    axis: Axis, known: dict[int, OneDistance], nodes: Index
+    axis: Axis, at_nodes: dict[int, OneDistance], nodes: Index
 ) -> tuple[tuple[float, ...], Array, float]:
     """Moments of distance and shared unknown over nodes, shares (N,), and the error in sds.
 
     That is the square of what sums over odd and even nodes differ by.
     """
-    own = [known.get(k, OneDistance()) for k in nodes.tolist()]
-    log = np.array([one.log_evidence for one in own])
+    posteriors = [at_nodes.get(k, OneDistance()) for k in nodes.tolist()]
+    log = np.array([one.log_evidence for one in posteriors])
     if not np.isfinite(log.max()):
         return (np.nan,) * 4, np.zeros(len(log)), 0.0
     share = np.exp(log - log.max())
     share /= share.sum()
-    mean, sd = (np.nan_to_num([getattr(one, n) for one in own]) for n in ("mean", "sd"))
+    mean, sd = (np.nan_to_num([getattr(one, n) for one in posteriors]) for n in ("mean", "sd"))
     values = np.stack([mean, axis.value(nodes)], axis=1)
     sds = np.stack([sd, np.zeros(len(sd))], axis=1)
     whole = mixture_moments(share[:, None], values, sds)
@@ -383,27 +383,27 @@ def _summed(
     return moments, share, float(min(error, 1e100) ** 2)
 
 
-def _mixture(axis: Axis, known: dict[int, OneDistance]) -> OneDistance:
+def _mixture(axis: Axis, at_nodes: dict[int, OneDistance]) -> OneDistance:
     """The posterior over nodes, conditional quantiles of the distance interpolated between them."""
-    nodes = np.array(sorted(known))
+    nodes = np.array(sorted(at_nodes))
     step = int(np.diff(nodes).min())
     every = np.arange(nodes[0], nodes[-1] + 1, step)
-    (mean, sd, value, spread), share, error = _summed(axis, known, every)
+    (mean, sd, value, value_sd), share, error = _summed(axis, at_nodes, every)
     if not np.isfinite(mean):
         return OneDistance()
-    own = [known.get(int(k), OneDistance()) for k in every]
-    held = np.array([one.sd > 0 for one in own])
-    log = np.array([one.log_evidence for one in own])
-    heavy = np.flatnonzero(held & (share > 1e-9))
+    posteriors = [at_nodes.get(int(k), OneDistance()) for k in every]
+    has_mass = np.array([one.sd > 0 for one in posteriors])
+    log = np.array([one.log_evidence for one in posteriors])
+    heavy = np.flatnonzero(has_mass & (share > 1e-9))
     near = slice(max(heavy[0] - 1, 0), heavy[-1] + 2)
-    quantile = np.array([one.quantiles(ndtr(SCORES)) for one in own[near]])
-    spans = mixed(np.array([0]), log[near], held[near], quantile, SCORES, 16)
+    quantile = np.array([one.quantiles(ndtr(SCORES)) for one in posteriors[near]])
+    spans = mixed(np.array([0]), log[near], has_mass[near], quantile, SCORES, 16)
     fine = ndtr(np.linspace(SCORES[0], SCORES[-1], 1601))
     r = spans.quantiles(fine)[0]
     best = int(log.argmax())
-    inner = share[held] @ [one.error for one in own if one.sd > 0]
+    inner = share[has_mass] @ [one.error for one in posteriors if one.sd > 0]
     evidence = log[best] + np.log(axis.unit * step / share.max())
     return OneDistance(
         mean, sd, r, np.gradient(fine, r), float(evidence), max(error, float(inner)),
-        (value, spread, float(axis.value(every[best]))), own[best].worse,
+        (value, value_sd, float(axis.value(every[best]))), posteriors[best].worse,
     )  # fmt: skip

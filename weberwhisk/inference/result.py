@@ -185,10 +185,10 @@ class Posterior(Shown):
         ('OUTSIDE_DOMAIN', 'Outside the domain: a Weber fraction of 0.0')
         """
         r = np.atleast_1d(self.mean)
-        known = np.isfinite(r)
-        near = domain.of_contact(r[known], self.observer.reach[1]) if known.any() else ()
-        rows = self.reading.reshape(len(r), -1)
-        beyond = beyond_reach(self.observer, rows, self.estimates).any()
+        is_finite = np.isfinite(r)
+        near = domain.of_contact(r[is_finite], self.observer.reach[1]) if is_finite.any() else ()
+        readings = self.reading.reshape(len(r), -1)
+        beyond = beyond_reach(self.observer, readings, self.estimates).any()
         far = "a contact that may be beyond the reach, to where a tip pushed straight can go"
         return domain.sentence((*domain.of_observer(self.observer), *near, *[far] * int(beyond)))
 
@@ -274,12 +274,12 @@ class Posterior(Shown):
                 ("status", Status, self.status), ("outcome", Outcome, self.outcome)
             )
         }  # fmt: skip
-        rows = []
+        tables = []
         ends = {name: self.interval(0.95, of=name) for name in self.observer.unknowns}
         for name, estimate in self.estimates.items():
             low, high = np.moveaxis(np.atleast_2d(ends[name]), -1, 0)
             columns = {key: np.atleast_1d(v) for key, v in estimate._asdict().items()}
-            rows.append(
+            tables.append(
                 pd.DataFrame(
                     {"reading": np.arange(len(low)), "unknown": name, "unit": UNITS.get(name, "1")}
                     | columns
@@ -287,7 +287,7 @@ class Posterior(Shown):
                     | said
                 )
             )
-        table = pd.concat(rows, ignore_index=True)
+        table = pd.concat(tables, ignore_index=True)
         return table.assign(note=self.observer.note) if self.observer.note else table
 
     def _line(self) -> str:
@@ -298,11 +298,11 @@ class Posterior(Shown):
         if not np.isfinite(self.mean):
             return f"none; {self.status.message}{note}"
         low, high = 1e3 * self.interval()
-        parts = [f"r = {interval_text(float(1e3 * self.mean), low, high, ' mm')}"]
+        pieces = [f"r = {interval_text(float(1e3 * self.mean), low, high, ' mm')}"]
         if "deflection_angle" in self.estimates:
             angle = self.estimates["deflection_angle"]
-            parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
-        return f"{', '.join(parts)}, by {self.method}; {self.status.message}{note}"
+            pieces.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
+        return f"{', '.join(pieces)}, by {self.method}; {self.status.message}{note}"
 
     def to_arviz(
         self, *, draws: int = 1000, seed: Seed = 1, log_likelihood: bool | None = None
@@ -371,16 +371,16 @@ class Posterior(Shown):
 
     def _log_likelihood(self, contact: Array) -> Array:
         """ln p(reading | contact) at draws (chain, draw, B, U); without B for one reading."""
-        rows = self.reading.reshape(contact.shape[2], -1)
+        readings = self.reading.reshape(contact.shape[2], -1)
         out = np.full(contact.shape[:3], np.nan)
-        for i, reading in enumerate(rows):
+        for i, reading in enumerate(readings):
             if not np.isfinite(contact[:, :, i]).all():  # not a reading
                 continue
             value = self.observer.log_likelihood(reading, contact[:, :, i])
             # A draw between two nodes may lie just beyond a fold, where no contact is held.
-            held = np.isfinite(value)
-            if held.any():
-                out[:, :, i] = np.where(held, value, value[held].min())
+            in_contact = np.isfinite(value)
+            if in_contact.any():
+                out[:, :, i] = np.where(in_contact, value, value[in_contact].min())
         return out if self.reading.ndim > 1 else out[:, :, 0]
 
     def _observed(self, i: int) -> NDArray[Any]:
@@ -463,14 +463,14 @@ def held_prior(observer: Observer, r: Array, given: float | None = None) -> Arra
         varies = name in free
         contact[..., i] = from_normal(prior, scores[free.index(name)]) if varies else fixed
     if observer.bounded > 1:
-        least, held = observer.space.angle_range(contact[..., 0], contact)
+        least, allowed = observer.space.angle_range(contact[..., 0], contact)
         if "deflection_angle" in observer.prior:
             angle = observer.prior["deflection_angle"]
-            held = angle.cdf(least + held) - angle.cdf(least)
+            allowed = angle.cdf(least + allowed) - angle.cdf(least)
     else:
-        held = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
+        allowed = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
     weight = np.exp(-0.5 * np.square(scores).sum(axis=0))
-    return np.asarray(held @ weight / weight.sum())
+    return np.asarray(allowed @ weight / weight.sum())
 
 
 def contact_slope(space: ContactCoordinates, x: Array) -> Array:
@@ -496,15 +496,15 @@ def is_unidentified(observer: Observer, contact: Array) -> Flags:
             contact[:, i] = np.clip(contact[:, i], low + room, high - room)
     space = observer.space
     slope = contact_slope(space, space.unconstrain(contact))
-    told = observer.information(contact) + observer.prior_information(contact)
-    information = np.swapaxes(slope, 1, 2) @ told @ slope
+    of_contact = observer.information(contact) + observer.prior_information(contact)
+    information = np.swapaxes(slope, 1, 2) @ of_contact @ slope
     information = information[np.isfinite(information).all(axis=(1, 2))]
     n = observer.bounded
     cross = information[:, :n, n:]
     shared = cross @ np.linalg.solve(information[:, n:, n:], np.swapaxes(cross, 1, 2))
     least = np.zeros(len(contact))
-    known = np.isfinite(told).all(axis=(1, 2))
-    least[known] = np.linalg.eigvalsh(information[:, :n, :n] - shared)[:, 0]
+    is_finite = np.isfinite(of_contact).all(axis=(1, 2))
+    least[is_finite] = np.linalg.eigvalsh(information[:, :n, :n] - shared)[:, 0]
     return least < 0.25
 
 

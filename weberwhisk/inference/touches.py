@@ -143,41 +143,43 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
             "give the friction's angle",
         )
     owner: Index = np.zeros(len(y), dtype=np.intp)
-    [found] = one_distance([ReadingGroup(observer, y, None, owner)], 1)
+    [solution] = one_distance([ReadingGroup(observer, y, None, owner)], 1)
     named = {}
-    if found.shared:
-        mean, sd, _ = found.shared
+    if solution.shared:
+        mean, sd, _ = solution.shared
         named[shared[0]] = mean, sd
-    status = _status(observer, y, found)
-    return Touches(observer, len(y), found.mean, found.sd, status, found.r, found.density, named)
+    status = _status(observer, y, solution)
+    return Touches(
+        observer, len(y), solution.mean, solution.sd, status, solution.r, solution.density, named
+    )
 
 
-def _status(observer: Observer, y: Array, found: OneDistance) -> Status:
+def _status(observer: Observer, y: Array, solution: OneDistance) -> Status:
     """How far the posterior of touches can be relied on."""
     # A distance that all touches allow is for none of them worse by 8 sd than its own best.
-    if not np.isfinite(found.mean) or (len(y) > 1 and found.worse > 32.0):
+    if not np.isfinite(solution.mean) or (len(y) > 1 and solution.worse > 32.0):
         return Status.IMPROBABLE_READING
     each = np.unique(y, axis=0)
-    contact = _best_contacts(observer, each, found)
+    contact = _best_contacts(observer, each, solution)
     if is_improbable(observer, each, contact).any():
         return Status.IMPROBABLE_READING
     # What is no wider than the reach by far is known.
-    wide = found.sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])
+    wide = solution.sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])
     if wide and is_unidentified(observer, contact).all():
         return Status.UNIDENTIFIED
-    return Status.CONVERGED if found.error <= TOLERANCE else Status.IMPRECISE
+    return Status.CONVERGED if solution.error <= TOLERANCE else Status.IMPRECISE
 
 
-def _best_contacts(observer: Observer, y: Array, found: OneDistance) -> Array:
+def _best_contacts(observer: Observer, y: Array, solution: OneDistance) -> Array:
     """The most probable contact (n, U) of each touch at the most probable distance."""
     further = [
-        np.full(1, found.shared[2])
+        np.full(1, solution.shared[2])
         if name in SHARED
         else observer.prior[name].ppf(ndtr(np.linspace(-3.0, 3.0, 13)))
         for name in observer.unknowns[observer.bounded :]
     ]
     low, high = (end[1] if observer.bounded > 1 else 0.0 for end in observer.ends(observer.bounded))
-    first = float(observer.space.unconstrain_one(np.array(found.best), 0))
+    first = float(observer.space.unconstrain_one(np.array(solution.best), 0))
     count, best = len(y), np.full(len(y), -np.inf)
     out = np.empty((count, len(observer.unknowns)))
     for values in product(*further):

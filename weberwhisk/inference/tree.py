@@ -85,17 +85,17 @@ class Tree:
         self.others = [OtherTerm(*c) for c in components if not c.noise.gaussian_on]
         self.size = self.gaussian.size if self.gaussian else 0
         probe = np.ones((1, signals))
-        other = sum(term.features(probe)[0].shape[1] for term in self.others)
+        separate = sum(term.features(probe)[0].shape[1] for term in self.others)
         self.scores, self.smooth = scores, self.observer.observer.is_smooth
         # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
-        self.features = self.size + other + scores + 1
+        self.features = self.size + separate + scores + 1
 
     def _features(self, at: Evaluated) -> tuple[Array, Array]:
         """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
         terms = ([self.gaussian] if self.gaussian else []) + self.others
-        parts = [term.features(at.signals) for term in terms]
-        place = [*(p for p, _ in parts), at.scores, at.log_prior[:, None]]
-        scale = [*(s for _, s in parts), np.ones_like(at.scores)]
+        terms_at = [term.features(at.signals) for term in terms]
+        place = [*(p for p, _ in terms_at), at.scores, at.log_prior[:, None]]
+        scale = [*(s for _, s in terms_at), np.ones_like(at.scores)]
         return np.concatenate(place, axis=1), np.concatenate(scale, axis=1)
 
     def _between(self, change: Array) -> Array:
@@ -143,10 +143,10 @@ class Tree:
             if self.gaussian:
                 length[..., :size] = self.gaussian.uncorrelated(length[..., :size])
             square = np.square(length).sum(axis=2) + prior_square[:, None]
-            other = (
+            jnds = (
                 total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]
             )
-            other_length = np.sqrt(np.square(other).sum(axis=1))
+            other_length = np.sqrt(np.square(jnds).sum(axis=1))
         self.evaluated += len(place)
         return Cells(
             given=which,
@@ -299,7 +299,7 @@ def tree_of(observer: Observer, tolerance: float, inner: int | None = None) -> T
     inner = len(observer.unknowns) if inner is None else inner
     key = observer, inner, tolerance
     tree = _kept.pop(key, None) or Tree(Conditional(observer, inner), tolerance)
-    total = sum(other.bytes for other in _kept.values()) + tree.bytes
+    total = sum(kept.bytes for kept in _kept.values()) + tree.bytes
     while total > MEMORY and _kept:
         total -= _kept.popitem(last=False)[1].bytes
     _kept[key] = tree

@@ -325,9 +325,9 @@ class Cumulative:
     Integrals between points are of fourth order, and within them the density is linear.
     """
 
-    def __init__(self, log: Array, parts: int) -> None:
-        x, fine = interpolate(log, parts)
-        self.first, self.parts = x[0], parts
+    def __init__(self, log: Array, per_step: int) -> None:
+        x, fine = interpolate(log, per_step)
+        self.first, self.per_step = x[0], per_step
         #: ln of the highest density (n,), to which all are relative.
         self.log_top = fine.max(axis=1)
         with np.errstate(invalid="ignore"):  # NaN where there is no density at all
@@ -341,7 +341,7 @@ class Cumulative:
     def at(self, x: Array, which: Index) -> Array:
         """Mass (m, Q) of densities `which` (m,) below places (m, Q), in steps from the first."""
         last = self.mass.shape[1]
-        place = np.clip((x - self.first) * self.parts, 0.0, last)
+        place = np.clip((x - self.first) * self.per_step, 0.0, last)
         cell = np.minimum(place.astype(np.intp), last - 1)
         flat = cell + which[:, None] * (last + 1)
         low, high = self.density.ravel()[flat], self.density.ravel()[flat + 1]
@@ -365,7 +365,7 @@ class Cumulative:
         # Of a linear density: low t + (high − low) t²/2 is this share of the mean.
         root = np.sqrt(low**2 + share * (high**2 - low**2))
         t = share * (low + high) / np.maximum(low + root, 1e-300)
-        return np.asarray(self.first + (cell + t) / self.parts)
+        return np.asarray(self.first + (cell + t) / self.per_step)
 
 
 class Columns:
@@ -545,7 +545,7 @@ def masses(log: Array) -> Array:
     return np.asarray((density[:, 1:] + density[:, :-1]) / 2)
 
 
-def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
+def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
     """Cubic interpolation of ln of densities (n, L) at even places, −inf where not known.
 
     Beyond what is known, for a step to either side, and in gaps, ln of the density goes on as a
@@ -566,7 +566,7 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     pad = pad[:, 1:-1]
     unknown = np.asarray(~np.isfinite(pad).any(axis=1))
     pad[unknown] = 0.0
-    t = np.arange(parts) / parts
+    t = np.arange(per_step) / per_step
     cubic = np.stack(
         [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
          -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6]
@@ -576,21 +576,21 @@ def interpolate(log: Array, parts: int) -> tuple[Array, Array]:
     # Beside a cliff a cubic overshoots.
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
     out = np.minimum(out, ceiling[..., None])
-    x, out = np.arange(m * parts + 3) / parts - 1.0, out.reshape(n, -1)
+    x, out = np.arange(m * per_step + 3) / per_step - 1.0, out.reshape(n, -1)
     # The longest row ends as the others do, so that a row is the same whatever rows it is with.
     out = np.concatenate([out, pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
-    known = np.asarray(np.isfinite(log))
-    first, last = known.argmax(axis=1), count - 1 - known[:, ::-1].argmax(axis=1)
+    is_finite = np.asarray(np.isfinite(log))
+    first, last = is_finite.argmax(axis=1), count - 1 - is_finite[:, ::-1].argmax(axis=1)
     beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
     out[np.asarray(beyond | unknown[:, None])] = -np.inf
     return x, out
 
 
-def extrapolated(fine: Iterator[Spans], coarse: Iterator[Spans], p: Array, count: int) -> Array:
+def extrapolated(full: Iterator[Spans], halved: Iterator[Spans], p: Array, count: int) -> Array:
     """Quantiles (count, Q) by spans, and by half as many: their error of second order is removed.
     """
     out = np.full((count, len(p)), np.nan)
-    for spans, half in zip(fine, coarse, strict=True):
+    for spans, half in zip(full, halved, strict=True):
         value = spans.quantiles(p)
         out[spans.readings] = value + (value - half.quantiles(p)) / 3
     return out
@@ -608,33 +608,33 @@ def density_of_distance(sums: WeightedPosteriors, r: Array) -> Array:
 
 
 def mixed(
-    readings: Index, log: Array, known: Flags, quantile: Array, scores: Array, parts: int
+    readings: Index, log: Array, has_mass: Flags, quantile: Array, scores: Array, per_step: int
 ) -> Spans:
     """Spans of a mixture over nodes of conditional distributions, given their quantiles.
 
     Between nodes quantiles are interpolated: conditional distributions may have two modes.
     """
-    weight, quantile = between_nodes(log, known, quantile, parts)
+    weight, quantile = between_nodes(log, has_mass, quantile, per_step)
     # Between scores mass is all but that of a Gaussian, which is not spread evenly.
-    fine = np.linspace(scores[0], scores[-1], parts * (len(scores) - 1) // 2 + 1)
+    fine = np.linspace(scores[0], scores[-1], per_step * (len(scores) - 1) // 2 + 1)
     return in_one(readings, weight, PchipInterpolator(scores, quantile, axis=1)(fine), ndtr(fine))
 
 
-def between_nodes(log: Array, known: Flags, table: Array, parts: int) -> tuple[Array, Array]:
+def between_nodes(log: Array, has_mass: Flags, table: Array, per_step: int) -> tuple[Array, Array]:
     """Weights (M,) and numbers (M, K) at nodes (...) and between them, of all that have weight.
 
     ln of the evidence (...) is interpolated by splines, numbers (..., K) by cubics without
     overshoot; a node without has those of the nearest that is.
     """
-    if not known.all():
-        place = np.argwhere(known)
-        for i in np.argwhere(~known):
+    if not has_mass.all():
+        place = np.argwhere(has_mass)
+        for i in np.argwhere(~has_mass):
             nearest = place[np.abs(place - i).sum(axis=1).argmin()]
             table[tuple(i)] = table[tuple(nearest)]
-    log = np.maximum(log - log[known].max(), -45.0)
+    log = np.maximum(log - log[has_mass].max(), -45.0)
     for d, n in enumerate(log.shape):
         if n > 1:
-            fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
+            fine = np.linspace(0, n - 1, per_step * (n - 1) + 1)
             log = make_interp_spline(np.arange(n), log, k=min(3, n - 1), axis=d)(fine)
             table = PchipInterpolator(np.arange(n), table, axis=d)(fine)
     log = log.ravel()
