@@ -23,6 +23,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.effects import (
     EFFECTS,
+    BiasDrift,
     Contraction,
     Drift,
     Effect,
@@ -90,6 +91,8 @@ def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = 
         case "drift":
             factor = np.exp(value * ((session - 1) / (SESSIONS - 1) - 0.5))
             sd1, sd2 = sd1 * factor, sd2 * factor
+        case "bias_drift":
+            push = value * (np.floor(10 * np.arange(len(f)) / len(f)) / 9 - 0.5)
     z = (s2 - m1) / np.hypot(sd1, sd2) + push + BIAS
     return np.asarray(LOW + (1 - LOW - HIGH) * ndtr(z))
 
@@ -120,6 +123,7 @@ CASES: dict[str, tuple[Effect, float]] = {
     "history": (History(), 0.6),
     "win_stay": (WinStay(), 0.6),
     "drift": (Drift(), -1.0),
+    "bias_drift": (BiasDrift(), 1.0),
 }
 
 
