@@ -2,14 +2,14 @@
 
 Observers are simulated with each cause, with pairs of causes and with none; each table is fitted as
 a user would, without effects, and again with the cause that made it. Writes `causes.csv`, a row a
-fit, and `causes.md`. Run ``python analyses/causes.py`` (`--short` for two observers a row).
+fit, and `causes.md`; resumes. Run ``python analyses/causes.py``; `--short` is two observers a row.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -147,16 +147,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, default=HERE)
     options = parser.parse_args(arguments)
-    counts: Callable[[Kind], int] = lambda k: (  # noqa: E731
-        2 if options.short else options.plain if k.name == "none" else options.observers
-    )
     kinds = [*KINDS, *(both(*pair) for pair in PAIRS)]
-    work = [(k, size, seed) for k in kinds for size in SIZES for seed in range(counts(k))]
+    counts = {kind.name: 2 if options.short else options.observers for kind in kinds}
+    counts["none"] = 2 if options.short else options.plain
+    path = options.out / "causes.csv"
+    fits = pd.read_csv(path, keep_default_na=False) if path.exists() else pd.DataFrame()
+    done = {*map(tuple, fits[["kind", "trials", "seed"]].to_numpy().tolist())} if len(fits) else {}
+    work = [
+        (kind, size, seed)
+        for seed in range(max(counts.values()))
+        for size in SIZES[::-1]
+        for kind in kinds
+        if seed < counts[kind.name] and (kind.name, size, seed) not in done
+    ]
     with ProcessPoolExecutor(options.workers) as pool:
-        rows = list(pool.map(fitted, *zip(*work, strict=True)))
-    fits = pd.DataFrame(rows)
-    fits.to_csv(options.out / "causes.csv", index=False, float_format="%.5g")
-    made = table(fits)
+        for row in pool.map(fitted, *zip(*work, strict=True)) if work else ():
+            fits = pd.concat([fits, pd.DataFrame([row])], ignore_index=True)
+            fits.to_csv(path, index=False, float_format="%.5g")
+    made = table(fits.sort_values("trials", kind="stable"))
     (options.out / "causes.md").write_text(_page(made))
     print(made.round(3).to_string())
 
