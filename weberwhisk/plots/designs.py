@@ -217,7 +217,8 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
     """Plot Weber fractions with 95 % intervals, by animal (or for all) and hypothesis.
 
     Beside a plan's intervals stands how wide they were to be. Without `ax` a second panel has the
-    Bayes factor of each hypothesis against the best of the others, where there are several.
+    Bayes factor of each hypothesis against the best of the others, where there are several, or the
+    ratio of the Weber fractions in two conditions.
     """
     from ..design.goals import Precision
 
@@ -226,6 +227,15 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
         figure = open_figure(DOUBLE, 2.8)
         ax, beside = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
         _bayes_factors(result, beside)
+    if ax is None and result.ratio is not None:
+        figure = open_figure(DOUBLE, 2.8)
+        ax, beside = figure.subplots(1, 2, width_ratios=[2.5, 1.0])
+        first, second = map(drawable, result.ratio.conditions)
+        ends = ([result.ratio.median], [result.ratio.lower], [result.ratio.upper])
+        bars(beside, [0.0], ends, 6)
+        beside.axhline(1.0, color="0.7", linewidth=0.8, zorder=0)
+        beside.set(xticks=[], xlim=(-1, 1), ylabel=f"k in {second} / k in {first}, 95 %")
+        plain_numbers(beside.yaxis)
     ax = axes_or_new(ax)
     subjects = list(dict.fromkeys(result.estimates["subject"]))
     middle = (len(result.log_evidence) - 1) / 2
