@@ -248,22 +248,26 @@ class CellSums:
         for lattices in self.lattices(among):
             # Columns of a lattice are some tens, with some tens of cells each.
             size = max(1, NUMBERS * len(lattices.readings) // (8 * PARTS[1] * len(lattices.log)))
-            for some in lattices.chunks(size):
-                at = some.readings
-                columns = Columns(some, self.observer, self.which[at], 1)
-                needed = columns.steps_needed(self.mean[at, 1], self.sd[at, 1])
-                steps = 1
-                while steps <= MOST_STEPS:
+            for chunk in lattices.chunks(size):
+                at = chunk.readings
+                columns = Columns(chunk, self.observer, self.which[at], 1)
+                mean, sd = self.mean[at, 1], self.sd[at, 1]
+                needed, steps = columns.steps_needed(mean, sd), 1
+                crude = np.asarray(needed > steps)
+                if not crude.all():
+                    enough = ~crude
+                    out[at[enough]], off = columns.quantiles(p, mean, sd, enough)
+                    crude[enough] = off > HALVES
+                while crude.any() and steps < MOST_STEPS:
+                    chunk, needed, steps = chunk.of(crude), needed[crude], 2 * steps
                     crude = np.asarray(needed > steps)
-                    for few in () if crude.all() else some.of(~crude).chunks(size // steps or 1):
-                        at = few.readings
-                        if steps > 1 or len(at) < len(needed):
-                            columns = Columns(few, self.observer, self.which[at], steps)
-                        out[at], off = columns.quantiles(p, self.mean[at, 1], self.sd[at, 1])
-                        crude[np.isin(some.readings, at)] = off > HALVES
-                    if not crude.any():
-                        break
-                    some, needed, steps = some.of(crude), needed[crude], 2 * steps
+                    ready = () if crude.all() else chunk.of(~crude).chunks(size // steps or 1)
+                    for lattice in ready:
+                        at = lattice.readings
+                        columns = Columns(lattice, self.observer, self.which[at], steps)
+                        mean, sd = self.mean[at, 1], self.sd[at, 1]
+                        out[at], off = columns.quantiles(p, mean, sd, np.ones(len(at), dtype=bool))
+                        crude[np.isin(chunk.readings, at)] = off > HALVES
         return out
 
     # -- draws -------------------------------------------------------------------------------------
@@ -338,18 +342,6 @@ class Cumulative:
         self.below = np.zeros(d.shape)
         np.cumsum(self.mass, axis=1, out=self.below[:, 1:])
 
-    def at(self, x: Array, which: Index) -> Array:
-        """Mass (m, Q) of densities `which` (m,) below places (m, Q), in steps from the first."""
-        last = self.mass.shape[1]
-        place = np.clip((x - self.first) * self.per_step, 0.0, last)
-        cell = np.minimum(place.astype(np.intp), last - 1)
-        flat = cell + which[:, None] * (last + 1)
-        low, high = self.density.ravel()[flat], self.density.ravel()[flat + 1]
-        t = place - cell
-        share = t * (2 * low + t * (high - low)) / np.maximum(low + high, 1e-300)
-        mass = self.mass.ravel()[flat - which[:, None]]
-        return np.asarray(self.below.ravel()[flat] + share * mass)
-
     def inverse(self, p: Array) -> Array:
         """Places (n, Q), in steps from the first, below which there are shares p (Q,)."""
         target = p * self.below[:, -1:]
@@ -366,6 +358,46 @@ class Cumulative:
         root = np.sqrt(low**2 + share * (high**2 - low**2))
         t = share * (low + high) / np.maximum(low + root, 1e-300)
         return np.asarray(self.first + (cell + t) / self.per_step)
+
+
+class CumulativeByLength:
+    """Cumulatives of densities (n, L), of `length` (n,) each, in classes of similar length.
+
+    The longest columns of a chunk are three times as long as the mean: in one table two thirds of
+    the interpolated points would be empty.
+    """
+
+    def __init__(self, log: Array, length: Index, per_step: int) -> None:
+        n, self.per_step = len(length), per_step
+        #: ln of the highest density (n,), and the mass relative to it.
+        self.log_top, self.total = np.zeros((2, n))
+        #: Where the points of each begin, and how many intervals are between them.
+        self.begin, self.intervals = np.zeros((2, n), dtype=np.intp)
+        # A class is of lengths within a factor of √2.
+        classes, begin = np.ceil(2 * np.log2(length)).astype(np.intp), 0
+        tables = []
+        for number in np.unique(classes):
+            of_class = np.flatnonzero(classes == number)
+            curves = Cumulative(log[of_class, : length[of_class].max()], per_step)
+            self.first, points = curves.first, curves.density.shape[1]
+            self.log_top[of_class], self.total[of_class] = curves.log_top, curves.below[:, -1]
+            self.begin[of_class] = begin + points * np.arange(len(of_class))
+            self.intervals[of_class] = points - 1
+            begin += points * len(of_class)
+            mass = np.pad(curves.mass, ((0, 0), (0, 1)))
+            tables.append([table.ravel() for table in (curves.density, mass, curves.below)])
+        self.density, self.mass, self.below = map(np.concatenate, zip(*tables, strict=True))
+
+    def at(self, x: Array, which: Index) -> Array:
+        """Mass (m, Q) of densities `which` (m,) below places (m, Q), in steps from the first."""
+        last = self.intervals[which, None]
+        place = np.clip((x - self.first) * self.per_step, 0.0, last)
+        cell = np.minimum(place.astype(np.intp), last - 1)
+        flat = cell + self.begin[which, None]
+        low, high = self.density[flat], self.density[flat + 1]
+        t = place - cell
+        share = t * (2 * low + t * (high - low)) / np.maximum(low + high, 1e-300)
+        return np.asarray(self.below[flat] + share * self.mass[flat])
 
 
 class Columns:
@@ -405,9 +437,11 @@ class Columns:
         place = second - lowest[column]
         table = np.full((len(present), int(place.max()) + 1), -np.inf)
         table[number[column], place] = log
-        self.curves = Cumulative(table, PARTS[1])
+        length = np.zeros(len(present), dtype=np.intp)
+        np.maximum.at(length, number[column], place + 1)
+        self.curves = CumulativeByLength(table, length, PARTS[1])
         self.weight = np.exp(self.curves.log_top - top[self.owner])
-        self.total = np.add.reduceat(self.weight * self.curves.below[:, -1], self.first)
+        self.total = np.add.reduceat(self.weight * self.curves.total, self.first)
         self.start = (lowest[present] + 0.5)[:, None]
         self.step = lattices.step[1]
         place_in = left[self.owner] + present % width
@@ -427,7 +461,7 @@ class Columns:
         value = (mean[:, None] + sd[:, None] * [-1.8, -0.9, 0.0, 1.0, 2.2])[self.owner]
         every = np.arange(len(self.owner))
         x = self.scale.coordinate(value, every) / self.step - self.start
-        mass = self.curves.below[:, -1:]
+        mass = self.curves.total[:, None]
         score = np.clip(ndtri(np.clip(self.curves.at(x, every) / mass, 0.0, 1.0)), -6.0, 6.0)
         move = np.abs(np.diff(score, axis=0, append=score[-1:]))
         crosses = np.diff(score > 0, axis=0, append=score[-1:] > 0)
@@ -447,7 +481,7 @@ class Columns:
         every = np.arange(len(self.owner))
         x = self.scale.coordinate(value[self.owner], every) / self.step - self.start
         below = self.weight[:, None] * self.curves.at(x, every)
-        mass = self.weight * self.curves.below[:, -1]
+        mass = self.weight * self.curves.total
         share = np.add.reduceat(below, self.first, axis=0) / self.total[:, None]
         off = np.zeros(value.shape)
         for half in (self.odd_columns, ~self.odd_columns):
@@ -467,20 +501,22 @@ class Columns:
         below = np.add.reduceat(below, first, axis=0) / self.total[among, None]
         return np.clip(ndtri(np.clip(below, 0.0, 1.0)), -38.0, 38.0)
 
-    def quantiles(self, p: Array, mean: Array, sd: Array) -> tuple[Array, Array]:
-        """Quantiles (n, Q) of the second unknown, of moments (n,), at probabilities (Q,).
+    def quantiles(self, p: Array, mean: Array, sd: Array, among: Flags) -> tuple[Array, Array]:
+        """Quantiles (m, Q) at probabilities (Q,) of the second unknown, of readings `among` (n,).
 
-        And by how many sds the worst of each reading differs from that of half the columns (n,).
+        And by how many sds the worst of each reading differs from that of half the columns (m,).
+        Moments are of all readings, (n,).
 
         Scores of values are all but straight lines: regula falsi with Illinois steps converges in
         three or four.
         """
-        target, everyone = ndtri(p), np.ones(len(mean), dtype=bool)
-        lowest, highest = self.bounds
-        grid = np.clip(mean[:, None] + sd[:, None] * GRID, lowest, highest)
-        score = np.pad(self.score(grid, everyone), ((0, 0), (1, 1)), constant_values=(-38.0, 38.0))
-        ends = np.maximum(lowest, grid[:, :1] - 40 * sd[:, None]), np.minimum(
-            highest, grid[:, -1:] + 40 * sd[:, None]
+        target = ndtri(p)
+        sd_of = sd[among, None]
+        lowest, highest = (bound[among] for bound in self.bounds)
+        grid = np.clip(mean[among, None] + sd_of * GRID, lowest, highest)
+        score = np.pad(self.score(grid, among), ((0, 0), (1, 1)), constant_values=(-38.0, 38.0))
+        ends = np.maximum(lowest, grid[:, :1] - 40 * sd_of), np.minimum(
+            highest, grid[:, -1:] + 40 * sd_of
         )
         grid = np.concatenate([ends[0], grid, ends[1]], axis=1)
         above = np.maximum((score[:, None] >= target[:, None]).argmax(axis=2), 1)
@@ -489,29 +525,31 @@ class Columns:
         out, side = np.where(beyond == 0, high, low), np.zeros(low.shape)
         done = np.asarray(beyond == 0)
         for _ in range(80):
-            active = np.asarray(~done.all(axis=1))
-            if not active.any():
+            left = np.flatnonzero(~done.all(axis=1))
+            if not left.size:
                 break
-            rows = np.flatnonzero(active)
-            a, b, fa, fb = low[rows], high[rows], below[rows], beyond[rows]
+            active = np.zeros(len(among), dtype=bool)
+            active[np.flatnonzero(among)[left]] = True
+            a, b, fa, fb = low[left], high[left], below[left], beyond[left]
             guess = a - fa * (b - a) / np.maximum(fb - fa, 1e-300)
             off = self.score(guess, active) - target
             over = off >= 0
-            again = np.where(over, 1.0, -1.0) == side[rows]
-            open_ = ~done[rows]
-            out[rows] = np.where(open_, guess, out[rows])
-            done[rows] |= (np.abs(off) < 1e-7) | (b - a < 1e-6 * sd[rows, None])
-            high[rows], beyond[rows] = np.where(over, guess, b), np.where(
+            again = np.where(over, 1.0, -1.0) == side[left]
+            out[left] = np.where(done[left], out[left], guess)
+            done[left] |= (np.abs(off) < 1e-7) | (b - a < 1e-6 * sd_of[left])
+            high[left], beyond[left] = np.where(over, guess, b), np.where(
                 over, off, np.where(again, fb / 2, fb)
             )
-            low[rows], below[rows] = np.where(over, a, guess), np.where(
+            low[left], below[left] = np.where(over, a, guess), np.where(
                 over, np.where(again, fa / 2, fa), off
             )
-            side[rows] = np.where(over, 1.0, -1.0)
-        near = 0.05 * sd[:, None]
-        rise = ndtr(self.score(out + near, everyone)) - ndtr(self.score(out - near, everyone))
+            side[left] = np.where(over, 1.0, -1.0)
+        near = 0.05 * sd_of
+        rise = ndtr(self.score(out + near, among)) - ndtr(self.score(out - near, among))
+        value = np.repeat(mean[:, None], len(p), axis=1)
+        value[among] = out
         # Probabilities over the density are distances: `rise` is the density times 2 * 0.05 sd.
-        off = 0.1 * self.off_by_half_columns(out) / np.maximum(rise, 1e-300)
+        off = 0.1 * self.off_by_half_columns(value)[among] / np.maximum(rise, 1e-300)
         return out, off.max(axis=1)
 
 
@@ -552,6 +590,45 @@ def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
     parabola that falls. Returns places (K,) in steps from the first, and values (n, K).
     """
     n, count = log.shape
+    is_finite = np.isfinite(log)
+    first, last = is_finite.argmax(axis=1), count - 1 - is_finite[:, ::-1].argmax(axis=1)
+    whole = last - first + 1
+    whole = np.asarray((is_finite.sum(axis=1) == whole) & (whole > 2))
+    pad = np.zeros((n, count + 6))
+    pad[:, 3:-3] = np.where(is_finite, log, 0.0)
+    gapless = np.flatnonzero(whole)
+    for side, end in ((1, last[gapless] + 3), (-1, first[gapless] + 3)):
+        for j in (end + side, end + 2 * side):  # beyond those no number counts
+            a, b, c = (pad[gapless, j - k * side] for k in (1, 2, 3))
+            pad[gapless, j] = np.minimum(np.minimum(3 * a - 3 * b + c, 2 * a - b), a - 1)
+    if len(gapless) < n:
+        pad[~whole] = _filled(log[~whole])
+    pad = pad[:, 1:-1]
+    unknown = np.asarray(~is_finite.any(axis=1))
+    t = np.arange(per_step) / per_step
+    cubic = np.stack(
+        [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
+         -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6]
+    )  # fmt: skip
+    m = pad.shape[1] - 3
+    out = pad[:, :m, None] * cubic[0]
+    term = np.empty_like(out)
+    for i in (1, 2, 3):
+        out += np.multiply(pad[:, i : i + m, None], cubic[i], out=term)
+    # Beside a cliff a cubic overshoots.
+    ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
+    np.minimum(out, ceiling[..., None], out=out)
+    x, out = np.arange(m * per_step + 3) / per_step - 1.0, out.reshape(n, -1)
+    # The longest row ends as the others do, so that a row is the same whatever rows it is with.
+    out = np.concatenate([out, pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
+    beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
+    out[np.asarray(beyond | unknown[:, None])] = -np.inf
+    return x, out
+
+
+def _filled(log: Array) -> Array:
+    """ln of densities (n, L) with three more to either side, and with gaps filled; 0 if unknown."""
+    n, count = log.shape
     pad = np.full((n, count + 6), -np.inf)
     pad[:, 3:-3] = log
     for order in (range(3, count + 6), range(count + 2, -1, -1)):
@@ -563,27 +640,8 @@ def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
                 with np.errstate(invalid="ignore"):
                     on = np.minimum(3 * a - 3 * b + c, 2 * a - b)
                     pad[gap, j] = np.where(np.isfinite(on), np.minimum(on, a - 1), a - 8)
-    pad = pad[:, 1:-1]
-    unknown = np.asarray(~np.isfinite(pad).any(axis=1))
-    pad[unknown] = 0.0
-    t = np.arange(per_step) / per_step
-    cubic = np.stack(
-        [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
-         -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6]
-    )  # fmt: skip
-    m = pad.shape[1] - 3
-    out = sum(pad[:, i : i + m, None] * cubic[i] for i in range(4))
-    # Beside a cliff a cubic overshoots.
-    ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
-    out = np.minimum(out, ceiling[..., None])
-    x, out = np.arange(m * per_step + 3) / per_step - 1.0, out.reshape(n, -1)
-    # The longest row ends as the others do, so that a row is the same whatever rows it is with.
-    out = np.concatenate([out, pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
-    is_finite = np.asarray(np.isfinite(log))
-    first, last = is_finite.argmax(axis=1), count - 1 - is_finite[:, ::-1].argmax(axis=1)
-    beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
-    out[np.asarray(beyond | unknown[:, None])] = -np.inf
-    return x, out
+    pad[~np.isfinite(pad).any(axis=1)] = 0.0
+    return pad
 
 
 def extrapolated(full: Iterator[Spans], halved: Iterator[Spans], p: Array, count: int) -> Array:
