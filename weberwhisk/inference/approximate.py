@@ -312,7 +312,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
             marginal.readings, density, log_slope, last, strict=True
         ):
             weight = np.exp(log_density + slope - (log_density + slope).max())
-            weight[(x < 1) | (x > end - 1)] = 0.0  # next to what is not known cubics bend
+            weight[(x < 1) | (x > end - 1)] = 0.0  # cubics bend next to places without a value
             counts[row] = _count(log_density, weight / weight.sum(), share)
     return counts if y.ndim > 1 else counts[0]
 

@@ -30,7 +30,7 @@ class Evaluated(NamedTuple):
 class Conditional:
     """What a tree needs of an observer of its first `inner` unknowns, the others being given.
 
-    Their values (F,) have numbers, in the order in which they were first asked for. Where the reach
+    Their values (F,) have numbers, in the order in which they are first needed. Where the reach
     depends on them and no angle is unknown, distances end at a reach of each number's own.
     """
 

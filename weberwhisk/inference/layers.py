@@ -99,7 +99,7 @@ class LayeredSums:
 
     @property
     def bytes(self) -> int:
-        """Memory of the cells at all nodes, of what is known there, and of quantiles there."""
+        """Memory of the cells at all nodes, with their sums and quantiles."""
         cells = sum(
             each.sums.bytes + 8 * len(SCORES) * len(each.readings) for each in self.at_nodes
         )
@@ -126,9 +126,9 @@ class LayeredSums:
         return [axis.nodes(int(h)) for axis, h in zip(self.axes, halvings, strict=True)]
 
     def _grid(self, keys: list[Index]) -> Index:
-        """The numbers of all nodes (...), with room for what is to be known at those that are new.
+        """The numbers of all nodes (...), with room for the sums at those that are new.
 
-        Their evidence is NaN until they are asked.
+        Their evidence is NaN until it is summed.
         """
         every = list(product(*map(np.ndarray.tolist, keys)))
         new = [key for key in every if key not in self.numbers]
@@ -485,7 +485,7 @@ class IsSmooth:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Conditional posteriors of neighbours must overlap: be apart by less than their sds."""
+    """Conditional posteriors of neighbours must overlap: differ by less than their sds."""
 
     def excess(self, at: Neighbours) -> Array:
         step = np.abs(at.moved(at.mean, 1) - at.mean) / np.minimum(at.sd, at.moved(at.sd, 1))

@@ -150,7 +150,7 @@ class Observer(Fields):
 
     @property
     def solver(self) -> str | None:
-        """The model that a cue is told of: none where a table serves."""
+        """The model that a cue is called with: none where a table serves."""
         if isinstance(self.model, model_choice.Chosen):
             return "elastica" if self.model == "elastica" and not self.forward.is_plain else None
         return self.model
@@ -316,7 +316,7 @@ class Observer(Fields):
 
     @cached_property
     def circular(self) -> Index:
-        """Which numbers of a reading are directions, known up to whole turns."""
+        """Which numbers of a reading are directions, which whole turns leave the same."""
         return np.flatnonzero(self.cue.circular if self.noise.reads_signals else [])
 
     def near(self, reading: ArrayLike, signals: Array) -> Array:

@@ -148,7 +148,7 @@ def _sums(
         yield np.arange(len(y)), sums, sums.log_evidence + slope
         return
     whole = LayeredSums(layers, y, covariance, 2 * DROP)
-    # Nodes of steps that were halved are asked again by the finer ones: all count alike.
+    # Nodes of steps that were halved are summed again with the finer ones: all count equally.
     first, second = layers.axes[0].nodes(0)[:2]
     step = (second - first) >> whole.halvings[:, 0]
     for at in whole.at_nodes:

@@ -98,7 +98,7 @@ class QuadratureSolution:
     """Posteriors of many readings (B, R) by quadrature: moments (B, U), error (B,), status (B,).
 
     Their cells are kept while they fit in half of `tree.MEMORY`; those of later readings are summed
-    again where quantiles or draws are asked for, as are all in a copy from a pickle.
+    again where quantiles or draws are requested, as are all in a copy from a pickle.
 
     Attributes
     ----------

@@ -485,7 +485,7 @@ def is_unidentified(observer: Observer, contact: Array) -> Flags:
     """Posteriors to which the reading adds less than the prior in some direction.
 
     In the coordinates x a flat prior has a curvature of ¼ and more: information below that
-    leaves the prior to decide. Unknowns that the whisker does not bound are known by their priors,
+    leaves the prior to decide. The priors limit unknowns that the whisker does not bound,
     and what is left to know of them is taken from the others (Schur complement).
     """
     contact = contact.copy()

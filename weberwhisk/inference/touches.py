@@ -115,7 +115,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     >>> print(f"{1e3 * one.sd:.1f} mm from one touch, {1e3 * three.sd:.1f} mm from three")
     3.3 mm from one touch, 1.5 mm from three
 
-    A stiffness that is not known is found on the way:
+    An unknown stiffness is estimated with it:
 
     >>> soft = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.UnknownStiffness(cues.ForceMap()))
     >>> found = touches(soft, readings)
@@ -163,7 +163,7 @@ def _status(observer: Observer, y: Array, solution: OneDistance) -> Status:
     contact = _best_contacts(observer, each, solution)
     if is_improbable(observer, each, contact).any():
         return Status.IMPROBABLE_READING
-    # What is no wider than the reach by far is known.
+    # A posterior far narrower than the reach is informed by the readings.
     wide = solution.sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])
     if wide and is_unidentified(observer, contact).all():
         return Status.UNIDENTIFIED

@@ -584,9 +584,9 @@ def masses(log: Array) -> Array:
 
 
 def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
-    """Cubic interpolation of ln of densities (n, L) at even places, −inf where not known.
+    """Cubic interpolation of ln of densities (n, L) at even places, −inf where not given.
 
-    Beyond what is known, for a step to either side, and in gaps, ln of the density goes on as a
+    Beyond the ends, for a step to either side, and in gaps, ln of the density goes on as a
     parabola that falls. Returns places (K,) in steps from the first, and values (n, K).
     """
     n, count = log.shape
