@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -132,7 +133,7 @@ def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) ->
     )  # fmt: skip
     fitted: WeberModel = model
     posterior: WeberPosterior
-    accuracy = {"effective": QUICK, "size": QUICK_PASS} if quick else {}
+    accuracy: dict[str, Any] = {"effective": QUICK, "size": QUICK_PASS} if quick else {}
     if n_states > 1:
         fitted = with_states(model, fit.trials, fit.encoding, n_states)
         assert isinstance(fitted, StateModel)

@@ -9,6 +9,7 @@ would pass for either, so that both are marginalised.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -147,22 +148,23 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
     check_fit(fit)
     _refuse_untestable(fit)
     departures = _departures(fit)
+    noises: dict[str, list[Effect]] = {"law": [], **departures}
     fits = {
         (observer, noise): _fitted(fit, bias, [*nuisance, *departure])
         for observer, (bias, nuisance) in _observers(fit).items()
-        for noise, departure in ({"law": []} | departures).items()
+        for noise, departure in noises.items()
     }
     evidence = pd.Series({key: one.log_evidence for key, one in fits.items()}, dtype=float)
     of_model = evidence.groupby(level=1).agg(lambda e: logsumexp(e) - np.log(e.size))
     law_over = of_model["law"] - of_model[list(departures)]
     best = {rival: max((o for o, r in fits if r == rival), key=lambda o: evidence[o, rival])
             for rival in departures}  # fmt: skip
-    rows = {
+    by_rival = {
         rival: (law_over[rival], *fits[best[rival], rival].posterior.quantile(rival, LEVELS))
         for rival in departures
     }
     rivals = pd.DataFrame.from_dict(
-        rows, "index", columns=["log_bayes_factor", "value", "lower", "upper"]
+        by_rival, "index", columns=["log_bayes_factor", "value", "lower", "upper"]
     ).rename_axis("rival")
     of_rivals = logsumexp(of_model[list(departures)]) - np.log(len(departures))
     exponent = fits[best["exponent"], "exponent"]
@@ -170,7 +172,7 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
         log_bayes_factor=float(of_model["law"] - of_rivals),
         rivals=rivals,
         least_shown=_least_shown(exponent),
-        status=fits[evidence.idxmax()].status,
+        status=max(fits.values(), key=lambda one: one.log_evidence or -np.inf).status,
         by_standard=_by_standard(fit),
     )
 
@@ -187,7 +189,8 @@ class _ExponentOfLevel(Exponent):
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         slope = (np.asarray(value) - 1) * self.log_unit
         shown = signals.shown_1, signals.shown_2
-        more_1, more_2 = (np.exp(slope * (mean - self.typical)) for mean in shown)
+        middle = 0.0 if self.typical is None else self.typical
+        more_1, more_2 = (np.exp(slope * (mean - middle)) for mean in shown)
         return signals._replace(sd_1=signals.sd_1 * more_1, sd_2=signals.sd_2 * more_2)
 
 
@@ -247,12 +250,12 @@ def _refuse_untestable(fit: Estimates) -> None:
 
 def _by_standard(fit: Estimates) -> pd.DataFrame:
     """k at each standard alone, without effects."""
-    rows = []
+    fitted = []
     for standard, part in fit.model.plain().by_standard():
         alone = QuadraturePosterior.integrated(part.merged())
         k = alone.quantile("weber_fraction", LEVELS)
-        rows.append((standard, int(part.cells.n.sum()), *k))
-    return pd.DataFrame(rows, columns=["standard", "n", "weber_fraction", "lower", "upper"])
+        fitted.append((standard, int(part.cells.n.sum()), *k))
+    return pd.DataFrame(fitted, columns=["standard", "n", "weber_fraction", "lower", "upper"])
 
 
 def _least_shown(fit: WeberFit, odds: float = 10.0) -> float:
@@ -261,7 +264,8 @@ def _least_shown(fit: WeberFit, odds: float = 10.0) -> float:
     Prior and likelihood of the exponent as normal: with variances v₀ and v the log Bayes factor of
     an estimate d away is d² v₀ / (2 v (v + v₀)) − ½ ln(1 + v₀/v).
     """
-    prior = next(float(e.prior.var()) for e in fit.model.effects if e.name == "exponent")
+    believed: Any = next(e.prior for e in fit.model.effects if e.name == "exponent")
+    prior = float(believed.var())
     posterior = fit.posterior.sd("exponent") ** 2
     if posterior >= 0.95 * prior:
         return np.inf

@@ -472,7 +472,7 @@ def encoding_options(encoding: Any) -> str | None:
     kind = type(encoding).__name__
     if kind in ("IdentityEncoding", "LogEncoding"):
         return ""
-    observer = getattr(encoding, "observer", None)
+    observer: Any = getattr(encoding, "observer", None)
     if kind != "CueEncoding" or type(observer.cue).__name__ != "Compliance":
         return None
     if observer.cue.tap_angle:

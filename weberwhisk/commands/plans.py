@@ -369,7 +369,7 @@ def analyse(
             atomic_write(run.path("analysis.txt"), words)
             atomic_write(run.path("analysis_methods.txt"), analysis.methods())
             run.figure("analysis", ww.plots.analysed(analysis))
-    answer = {
+    answer: dict[str, Any] = {
         "log_evidence": analysis.log_evidence, "favoured": analysis.favoured(),
         "left_out": analysis.left_out, "rows": analysis.estimates.to_dict("records"),
     }  # fmt: skip

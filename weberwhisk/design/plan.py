@@ -146,9 +146,9 @@ class AnalysisResult(Shown):
         of, planned = self.plan.magnitude, self.plan.trials
         pairs = [planned[of.column(name)] for name in STIMULI[1:]]
         frame = self.trials.frame
-        given = [of.written(frame[name]) for name in STIMULI[1:]]
+        first, second = (of.written(frame[name]) for name in STIMULI[1:])
         left = Counter(_rounded_pairs(*pairs))
-        left.subtract(Counter(_rounded_pairs(*given, n=frame["n"])))
+        left.subtract(Counter(_rounded_pairs(first, second, frame["n"])))
         return sum(n for n in left.values() if n > 0), -sum(n for n in left.values() if n < 0)
 
     @property

@@ -316,7 +316,8 @@ def _of_magnitude(
     task = task or "2IFC"
     if question == "weber-law":
         named = rival or "constant"
-        return rivals(of.encoding, at, named, weber_fraction=weber_fraction, task=task)
+        standards = np.asarray(at, dtype=float)
+        return rivals(of.encoding, standards, named, weber_fraction=weber_fraction, task=task)
     return [Hypothesis("Weber's law", of.encoding, task=task)]
 
 

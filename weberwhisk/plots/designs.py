@@ -231,8 +231,8 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
         figure = open_figure(DOUBLE, 2.8)
         ax, beside = figure.subplots(1, 2, width_ratios=[2.5, 1.0])
         first, second = map(drawable, result.ratio.conditions)
-        ends = ([result.ratio.median], [result.ratio.lower], [result.ratio.upper])
-        bars(beside, [0.0], ends, 6)
+        ratio = ([result.ratio.median], [result.ratio.lower], [result.ratio.upper])
+        bars(beside, [0.0], ratio, 6)
         beside.axhline(1.0, color="0.7", linewidth=0.8, zorder=0)
         beside.set(xticks=[], xlim=(-1, 1), ylabel=f"k in {second} / k in {first}, 95 %")
         plain_numbers(beside.yaxis)
@@ -241,17 +241,18 @@ def analysed(result: AnalysisResult, ax: Axes | None = None) -> Axes:
     middle = (len(result.log_evidence) - 1) / 2
     series = [(name, result.of(name)) for name in result.log_evidence]
     if "condition" in result.estimates:
-        series = list(result.estimates.groupby("condition", sort=False))
+        groups = result.estimates.groupby("condition", sort=False)
+        series = [(str(name), group) for name, group in groups]
         middle = (len(series) - 1) / 2
     for i, (name, estimates) in enumerate(series):
-        ends = (estimates[column] for column in ("weber_fraction", "lower", "upper"))
+        interval = (estimates[column] for column in ("weber_fraction", "lower", "upper"))
         at = [subjects.index(s) + 0.15 * (i - middle) for s in estimates["subject"]]
         if isinstance(goal, Precision):
             k, planned = estimates["weber_fraction"].to_numpy(float), goal.half_width
-            label = f"planned ±{100 * planned:g} %" if i == 0 else None
+            label = f"planned ±{100 * planned:g} %" if i == 0 else "_nolegend_"
             ax.vlines(at, k * (1 - planned), k * (1 + planned), color="0.85", linewidth=7,
                       zorder=0, label=label)  # fmt: skip
-        bars(ax, at, ends, i, label=f"{drawable(name)}, 95 %")
+        bars(ax, at, interval, i, label=f"{drawable(name)}, 95 %")
     ax.set_xticks(range(len(subjects)), [drawable(str(s)) for s in subjects])
     who = "animal" if result.plan is None else result.plan.animals.subject
     who = f"{who[0].upper()}{who[1:]}"

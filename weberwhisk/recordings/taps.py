@@ -199,9 +199,9 @@ class TapModel:
             for chosen in gross_sets(np.intersect1d(members, self.suspects)):
                 gross.append(chosen)
                 belong.append(np.setdiff1d(members, chosen))
-        members = _members(belong, len(self.r)), _members(gross, len(self.r))
         size = np.array([[one.size] for one in belong], dtype=float)
-        return Subsets(*members, np.array(first, dtype=np.intp), size)
+        of_belong, of_gross = _members(belong, len(self.r)), _members(gross, len(self.r))
+        return Subsets(of_belong, of_gross, np.array(first, dtype=np.intp), size)
 
     def sensor(self, x: Array) -> Sensor:
         """The whisker and sensor at x: ln scale, logit taper, (ln hinge), logit misfit, ln k."""
