@@ -347,9 +347,9 @@ def _of_log(
     log_unit: float | None,
 ) -> ww.Trials:  # fmt: skip
     """The trials that `next` kept in its log, in the unit of the command."""
-    asked = task or question.get("task")
+    of_task = task or question.get("task")
     trials = ww.read_trials(
-        table.assign(session=1), task=asked, scale=scale, log_unit=log_unit, in_order=True
+        table.assign(session=1), task=of_task, scale=scale, log_unit=log_unit, in_order=True
     )
     return replace(trials, source=str(file))
 
@@ -359,9 +359,9 @@ def _fit_of_log(log: Path | None, hypothesis: Hypothesis, of: Magnitude | None) 
     encoded = opt.encoding_options(hypothesis.encoding)
     if log is None or encoded is None:
         return ""
-    scaled = f" --scale log --log-unit {of.log_unit}" if of is not None and of.is_log else ""
+    of_scale = f" --scale log --log-unit {of.log_unit}" if of is not None and of.is_log else ""
     bias = "" if hypothesis.bias == "shared" else f" --bias {shlex.quote(hypothesis.bias)}"
-    return f"weberwhisk fit {shlex.quote(str(log))}{bias}{scaled}{encoded}"
+    return f"weberwhisk fit {shlex.quote(str(log))}{bias}{of_scale}{encoded}"
 
 
 def _with_millimetres(file: Path, columns: dict[str, str]) -> dict[str, str]:

@@ -387,7 +387,8 @@ def _fit_again(plan: Plan, trials: ww.Trials, table: str) -> list[str]:
     whose = "" if len(subjects) == 1 else f" --subject {shlex.quote(str(subjects[0]))}"
     whose = " --together" if plan.together else whose
     # A condition by itself is fitted as a table by itself.
-    parts = [f" --only condition={shlex.quote(name)}" for name in plan.scheme.conditions] or [""]
+    conditions = plan.scheme.conditions
+    by_condition = [f" --only condition={shlex.quote(c)}" for c in conditions] or [""]
     said = []
     for h in plan.hypotheses:
         encoded = opt.encoding_options(h.encoding)
@@ -397,7 +398,7 @@ def _fit_again(plan: Plan, trials: ww.Trials, table: str) -> list[str]:
             said += [
                 f"  {h.name}: weberwhisk fit {shlex.quote(table)}{whose}{part} --task "
                 f"{shlex.quote(h.task)} --bias {shlex.quote(h.bias)}{noise}{of_log}{encoded}"
-                for part in parts
+                for part in by_condition
             ]
     return ["\nThe same numbers again:", *said] if said else []
 
@@ -433,13 +434,15 @@ def rig_trials(files: list[Path], plan: Plan) -> ww.Trials:
 
 def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:
     """The trials of one table, with answers as `choice`: 1, 0, or NaN for none."""
+    from ..behaviour.tasks import task_named
     from ..behaviour.trials import rows_in_words
     from ..design.session import KEYS, PLACES
 
-    of, asked = plan.magnitude, plan.hypotheses[0].asked
-    of_one = asked.name in KEYS
-    greater = f"the answer was {asked.answer}" if of_one else f"the second was judged {of.greater}"
-    other = "the other" if of_one else f"the first was judged {of.greater}"
+    of, question = plan.magnitude, task_named(plan.hypotheses[0].task)
+    of_one = question.name in KEYS
+    greater = f"the second was judged {of.greater}"
+    greater = f"the answer was {question.answer}" if of_one else greater
+    of_first = "the other" if of_one else f"the first was judged {of.greater}"
     places = np.arange(1, len(table) + 1)
     for name in (of.column("stimulus_1"), "stimulus_1"):
         if name in table:
@@ -458,14 +461,14 @@ def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:
         )
     given = table[columns[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
-    no, yes = KEYS.get(asked.name) or PLACES.get(asked.name, ("left", "right"))
+    no, yes = KEYS.get(question.name) or PLACES.get(question.name, ("left", "right"))
     keys = {"left": 0.0, "right": 1.0, no: 0.0, yes: 1.0}
     keys.pop("None", None)
     codes = keys | {"1": 0.0, "2": 1.0}
     if columns == ["choice"]:
         codes = keys | {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
     none = "", "nan", "none", "<na>", "null", "na", "n/a"
-    if asked.name == "go/no-go" and columns[0].endswith(".keys"):
+    if question.name == "go/no-go" and columns[0].endswith(".keys"):
         codes |= dict.fromkeys(none, 0.0)  # not to press is an answer
     unknown = ~given.isin([*codes, *none]).to_numpy()
     if unknown.any():
@@ -474,7 +477,7 @@ def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:
             f"{checks.listed(given[unknown].unique())} is no answer",
             remedy=(
                 f"write {', '.join(code for code, second in codes.items() if not second)} "
-                f"where {other}, {', '.join(code for code, second in codes.items() if second)} "
+                f"where {of_first}, {', '.join(code for code, second in codes.items() if second)} "
                 f"where {greater}, and nothing for no answer"
             ),
         )

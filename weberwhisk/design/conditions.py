@@ -105,14 +105,14 @@ def ratio_of(
     """The ratio of k in two conditions, from the choices of all subjects but some."""
     x, log_prior = _on_nodes(hypothesis)
     subjects = [s for s in trials.subjects or [None] if str(s) not in without]
-    rows = np.zeros((1, len(subjects), 2, x.size))
+    log_like = np.zeros((1, len(subjects), 2, x.size))
     for i, subject in enumerate(subjects):
         for j, condition in enumerate(conditions):
             named: dict[str, Any] = {"condition": condition}
             named |= {} if subject is None else {"subject": subject}
             cells = trials.select(**named).cells()
-            rows[0, i, j] = _log_like(hypothesis, cells, cells.count[None], x)[0]
-    ratio = quantiles_of_ratio(*log_ratio_density(rows, log_prior))[0]
+            log_like[0, i, j] = _log_like(hypothesis, cells, cells.count[None], x)[0]
+    ratio = quantiles_of_ratio(*log_ratio_density(log_like, log_prior))[0]
     return Ratio(tuple(conditions), *ratio.tolist())
 
 

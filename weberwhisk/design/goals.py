@@ -379,8 +379,8 @@ class Contrast(Goal):
         return runs["lower"] > 1 if self.ratio > 1 else runs["upper"] < 1
 
     def power_columns(self, runs: pd.DataFrame) -> dict[str, float]:
-        other = runs["upper"] < 1 if self.ratio > 1 else runs["lower"] > 1
-        return {"wrong": float(other.mean())}
+        opposite = runs["upper"] < 1 if self.ratio > 1 else runs["lower"] > 1
+        return {"wrong": float(opposite.mean())}
 
     def verdict_of_ratio(self, lower: float, upper: float) -> str:
         """Whether an interval of the ratio tells the conditions apart."""

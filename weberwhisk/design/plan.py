@@ -253,8 +253,8 @@ def analyse(
 def _rounded_pairs(first: Any, second: Any, n: Any = 1) -> list[tuple[str, str]]:
     """Pairs of stimuli as they are written, each so many times."""
     counts = np.broadcast_to(np.asarray(n, dtype=int), np.shape(first))
-    rows = zip(np.asarray(first), np.asarray(second), counts, strict=True)
-    return [(f"{a:.6g}", f"{b:.6g}") for a, b, times in rows for _ in range(times)]
+    triples = zip(np.asarray(first), np.asarray(second), counts, strict=True)
+    return [(f"{a:.6g}", f"{b:.6g}") for a, b, times in triples for _ in range(times)]
 
 
 def _each_animal(trials: Trials, hypotheses: Sequence[Hypothesis], check: bool) -> AnalysisResult:
@@ -528,21 +528,21 @@ class Plan(Shown):
                 "write in it in which each trial was run",
             )
         by_name = {name: trials.select(condition=name) for name in names}
-        parts = [analyse(one, [first], unit=unit, check=check) for one in by_name.values()]
+        analyses = [analyse(one, [first], unit=unit, check=check) for one in by_name.values()]
         tables = [
             part.estimates.assign(condition=name)
-            for name, part in zip(names, parts, strict=True)
+            for name, part in zip(names, analyses, strict=True)
         ]  # fmt: skip
-        left_out = tuple(sorted({s for part in parts for s in part.left_out}))
+        left_out = tuple(sorted({s for part in analyses for s in part.left_out}))
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
-        scaled = replace(trials, frame=frame)
-        evidence = {first.name: sum(part.log_evidence[first.name] for part in parts)}
+        in_unit = replace(trials, frame=frame)
+        evidence = {first.name: sum(part.log_evidence[first.name] for part in analyses)}
         ratio = None
         if len(left_out) < max(len(trials.subjects), 1):
-            ratio = ratio_of(first, scaled, names, left_out)
-        fits = [fit for part in parts for fit in part.fits]
+            ratio = ratio_of(first, in_unit, names, left_out)
+        fits = [fit for part in analyses for fit in part.fits]
         estimates = pd.concat(tables, ignore_index=True)
-        return AnalysisResult(estimates, evidence, left_out, scaled, fits, self, ratio)
+        return AnalysisResult(estimates, evidence, left_out, in_unit, fits, self, ratio)
 
     def _line(self) -> str:
         scheme = self.scheme
@@ -567,8 +567,8 @@ class Plan(Shown):
         trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
         compared = len(self.hypotheses) > 1
         one_result = compared or self.together or bool(self.scheme.conditions)
-        apart = not (one_result or animals == 1)
-        whose = f" of their {self.animals.subjects}" if apart else ""
+        of_each = not (one_result or animals == 1)
+        whose = f" of their {self.animals.subjects}" if of_each else ""
         each = [
             f"{share_in_words(row)}{whose}" + f" if {row['truth']} is true" * compared
             for row in self.power.to_dict("records")

@@ -23,6 +23,7 @@ from .._util.refusals import Refusal
 from .._util.values import Array, counted, paragraphs, plain_number
 from ..behaviour import encodings
 from ..behaviour.priors import Priors
+from ..behaviour.tasks import task_named
 from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
 from ..whisker import Whisker
@@ -372,9 +373,10 @@ def columns_in_words(plan: Plan) -> str:
     first, second = of.column("stimulus_1"), of.column("stimulus_2")
     if task in ONE_STIMULUS:
         no, yes = KEYS[task]
+        answer = task_named(task).answer
         return (
             f"In the lists {second} is the stimulus that is put and {first} the standard held in "
-            f"mind; greater is 2 where the right answer is {plan.hypotheses[0].asked.answer}, and "
+            f"mind; greater is 2 where the right answer is {answer}, and "
             f"1 else (correct_answer: {yes} and {no})."
         )
     before, after = PLACES[task]

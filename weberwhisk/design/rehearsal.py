@@ -99,7 +99,7 @@ def _answered(
         first = plan.scheme.conditions[0]
         second = np.where(lists["condition"] == first, 0, 1)
         factor = plan.goal.ratio ** np.array([-0.5, 0.5])
-        apart = [
+        by_condition = [
             animals.assign(
                 subject=[f"{s} {j}" for s in animals["subject"]],
                 weber_fraction=animals["weber_fraction"] * factor[j],
@@ -107,7 +107,7 @@ def _answered(
             for j in range(2)
         ]
         named = [f"{s} {j}" for s, j in zip(lists["subject"], second, strict=True)]
-        lists, animals = lists.assign(subject=named), pd.concat(apart)
+        lists, animals = lists.assign(subject=named), pd.concat(by_condition)
     answers = simulate_responses(
         lists, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task, seed=seed
     )

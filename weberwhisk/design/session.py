@@ -124,14 +124,14 @@ def _alternating(
     """The lists of one animal with their conditions in sessions A B B A …, of the next B A A B."""
     if not conditions:
         return lists[0]
-    parts = []
+    moved_all = []
     for j, (condition, one) in enumerate(zip(conditions, lists, strict=True)):
         before = one["session"] - 1
         second = (before + animal + j) % 2
         moved = one.assign(session=2 * before + 1 + second)
         moved.insert(1, "condition", condition)
-        parts.append(moved)
-    return pd.concat(parts).sort_values(["session", "trial"], kind="stable", ignore_index=True)
+        moved_all.append(moved)
+    return pd.concat(moved_all).sort_values(["session", "trial"], kind="stable", ignore_index=True)
 
 
 def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
@@ -365,8 +365,8 @@ def read_log(path: str | os.PathLike[str]) -> tuple[pd.DataFrame, dict[str, Any]
             records.append(json.loads(line))
         except ValueError:  # the last may be half a line
             break
-    question, *rows = records or [{}]
-    table = pd.DataFrame(rows, columns=["trial", "standard", "comparison", "choice"])
+    question, *answers = records or [{}]
+    table = pd.DataFrame(answers, columns=["trial", "standard", "comparison", "choice"])
     table = table.rename(columns={"comparison": "stimulus_2"})
     table.insert(2, "stimulus_1", table["standard"])
     return table.assign(choice=table["choice"].astype(float)), question

@@ -293,6 +293,8 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     Without `ax` also the Weber fraction after every trial with its 95 % interval, where the trials
     were placed by it.
     """
+    from ..behaviour.tasks import task_named
+
     course = np.array(getattr(placer, "course", [])).reshape(-1, 4)
     below = None
     if ax is None and len(course):
@@ -300,10 +302,10 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
         ax, below = figure.subplots(2, 1, sharex=True)
     ax = axes_or_new(ax, SINGLE, 2.8)
     trials = placer.trials().frame
-    asked, of = placer.hypotheses[0].asked, placer.magnitude
+    task, of = task_named(placer.hypotheses[0].task), placer.magnitude
     offset = of.written(trials["stimulus_2"] - trials["stimulus_1"])
-    yes = f"second {of.greater}" if asked.is_difference else asked.answer.strip('"')
-    no = f"first {of.greater}" if asked.is_difference else f"not {yes}"
+    yes = f"second {of.greater}" if task.is_difference else task.answer.strip('"')
+    no = f"first {of.greater}" if task.is_difference else f"not {yes}"
     for i, (answer, label) in enumerate(((1.0, yes), (0.0, no))):
         chosen = trials["count"] == answer
         ax.plot(trials["trial"][chosen], offset[chosen], **mark(i, markersize=2.5), label=label)
