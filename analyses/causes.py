@@ -57,7 +57,7 @@ KINDS = [
     Kind("none"),
     _one("contraction", of.Contraction(), 0.3),
     _one("exponent", of.Exponent(), 2.0, accepted=("floor",)),
-    Kind("constant noise", {"noise": "constant"}, {"noise": "constant"}, ("exponent", "floor")),
+    Kind("constant noise", {"noise": "constant"}, {"noise": "constant"}),
     _one("noise_by_order", of.NoiseByOrder(), -1.5, given=WIDE, weber_fraction=0.3),
     _one("standard_second", of.StandardSecond(), 0.7),
     _one("history", of.History(), 0.5),

@@ -65,6 +65,17 @@ def test_the_cause_that_made_the_answers_is_first(name: str) -> None:
     assert f"The answers show {words} ({name} " in fit.report()
 
 
+def test_constant_noise_is_a_cause_of_its_own() -> None:
+    fit = fit_weber(observed(noise="constant", trials_per_level=100))
+    assert fit.causes.index[0] == "constant noise"
+    constant = fit_weber(fit.trials, noise="constant")
+    best = fit.causes.iloc[0]
+    assert best["log_evidence"] == pytest.approx(constant.log_evidence, abs=0.01)
+    assert best["weber_fraction"] == pytest.approx(constant.weber_fraction, rel=1e-3)
+    names = [cause.name for cause in possible_causes(constant)]
+    assert {"constant noise", "exponent", "floor"}.isdisjoint(names)
+
+
 def test_two_causes_are_found_together() -> None:
     trials = observed((of.Contraction(), 0.4), (of.SessionBias(), 0.7), trials_per_level=100)
     fit = fit_weber(trials)

@@ -61,6 +61,7 @@ class Cause:
     effects: tuple[Effect, ...] = ()
     states: int = 1
     bias: str = ""
+    noise: str = ""
 
 
 _OF_EFFECTS: tuple[tuple[Effect, str, FitStatus], ...] = (
@@ -100,6 +101,9 @@ def possible_causes(fit: Estimates) -> list[Cause]:
         flat = flat or (isinstance(effect, Contraction) and np.ptp(model.cells.stimulus_1) == 0)
         if effect.name not in fit.effects and not flat:
             causes.append(Cause(effect.name, words, status, effects=(effect,)))
+    if "exponent" in {cause.name for cause in causes} and fit.noise == "weber":
+        words = "the same noise at every stimulus"
+        causes.append(Cause("constant noise", words, FitStatus.MISFIT_CURVE, noise="constant"))
     if fit.bias == "shared" and trials.has_standards and fit.standards.size > 1:
         words = "a bias that differs by standard"
         causes.append(
@@ -116,26 +120,29 @@ def possible_causes(fit: Estimates) -> list[Cause]:
 
 def _go_together(fit: Estimates, causes: Sequence[Cause]) -> bool:
     """Whether a fit can have all of them: states go neither with one another nor with what makes
-    answers scatter by itself."""
-    names = [*fit.effects, *(cause.name for cause in causes)]
+    answers scatter by itself, and noise that is constant has neither a floor nor an exponent."""
+    names = {*fit.effects, *(cause.name for cause in causes)}
+    if "constant noise" in names and names & {"exponent", "floor"}:
+        return False
     states = sum(cause.states > 1 for cause in causes) + (fit.model.n_states > 1)
-    return states <= (0 if {"overdispersion", "session_bias"} & {*names} else 1)
+    return states <= (0 if {"overdispersion", "session_bias"} & names else 1)
 
 
 def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) -> Estimates:
     """The same fit with causes in its model; quick ones are for evidence and k."""
     effects = (*fit.model.effects, *(e for cause in causes for e in cause.effects))
     bias = next((cause.bias for cause in causes if cause.bias), fit.bias)
+    noise = next((cause.noise for cause in causes if cause.noise), fit.noise)
     n_states = max([fit.model.n_states, *(cause.states for cause in causes)])
-    model, _, bias = build_model(
-        fit.trials, fit.encoding, None, bias, fit.noise, fit.model.priors, effects,
+    model, encoding, bias = build_model(
+        fit.trials, fit.encoding, None, bias, noise, fit.model.priors, effects,
         STATE_PRIORS.get(n_states, {}),
     )  # fmt: skip
     fitted: WeberModel = model
     posterior: WeberPosterior
     accuracy: dict[str, Any] = {"effective": QUICK, "size": QUICK_PASS} if quick else {}
     if n_states > 1:
-        fitted = with_states(model, fit.trials, fit.encoding, n_states)
+        fitted = with_states(model, fit.trials, encoding, n_states)
         assert isinstance(fitted, StateModel)
         chain = StateTarget(fitted)
         posterior = StatePosterior(chain, chain.weighted(**accuracy))
@@ -145,7 +152,10 @@ def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) ->
     else:
         posterior = QuadraturePosterior.integrated(model.merged())
     method = "importance" if effects or n_states > 1 else "quadrature"
-    return replace(fit, model=fitted, bias=bias, method=method, posterior=posterior)
+    return replace(
+        fit, model=fitted, encoding=encoding, noise=noise, bias=bias, method=method,
+        posterior=posterior,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -213,11 +213,14 @@ def advice(fit: Estimates) -> str | None:
         cause = fit.search.chosen
         if cause is None or _is_unexplained(cause.fit):
             return Advice.joined("", ["Nothing yet: first ", _to_look_at(fit), "."])
-        bias = {"bias": cause.fit.bias} if cause.fit.bias != fit.bias else {}
-        n_states = cause.fit.model.n_states
-        states = {"states": n_states} if n_states != fit.model.n_states else {}
+        options = {
+            "bias": (fit.bias, cause.fit.bias),
+            "noise": (fit.noise, cause.fit.noise),
+            "states": (fit.model.n_states, cause.fit.model.n_states),
+        }
+        changed = {name: now for name, (before, now) in options.items() if now != before}
         effects = [effect for one in cause.causes for effect in one.effects]
-        return "Nothing yet: first " + _with(fit, *effects, **bias, **states) + "."
+        return "Nothing yet: first " + _with(fit, *effects, **changed) + "."
     if fit.status is FitStatus.PRIOR_DEPENDENT:
         return (
             "Easy comparisons, further from the standard than any so far: they alone determine the "

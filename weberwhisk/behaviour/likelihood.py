@@ -358,8 +358,8 @@ class WeberModel(Fields):
               for part in chunks(len(draws), 4 * self.cells.n.size)),
         ])  # fmt: skip
 
-    def _deviation(self, draws: Draws) -> Array | float:
-        """What the sessions add to the bias of each cell, (N, C)."""
+    def deviation(self, draws: Draws) -> Array | float:
+        """What the sessions add to the bias of each cell, drawn given the rest, (N, C)."""
         if self.by_session is None:
             return 0.0
         return self.session_deviations(draws)[:, self._session]
@@ -383,11 +383,11 @@ class WeberModel(Fields):
 
     def expected(self, draws: Draws) -> tuple[Array, Array]:
         """P of either answer to each cell, (N, C)."""
-        return self.probability(*draws.values, deviation=self._deviation(draws))
+        return self.probability(*draws.values, deviation=self.deviation(draws))
 
     def log_said(self, draws: Draws) -> Array:
         """Log-probability of the answers to each cell, (N, C)."""
-        return self.cell_log_likelihood(*draws.values, deviation=self._deviation(draws))
+        return self.cell_log_likelihood(*draws.values, deviation=self.deviation(draws))
 
     def by_row(self, draws: Draws, cell: Index) -> tuple[Array, Array]:
         """The same of rows with these cells, (N, R)."""

@@ -142,6 +142,11 @@ def fraction_curve(model: WeberModel, draws: Draws) -> tuple[Array, Array]:
         np.repeat(values[:, None], axis.size, axis=1) for values in draws.values[1:]
     )
     k = np.broadcast_to(model.value("weber_fraction", axis), low.shape)
-    log = model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2
+    if model.by_session is None:
+        log = model.log_likelihood(k, low, high, bias, effects)
+    else:  # biases of sessions are among what is given
+        deviation = np.asarray(model.deviation(draws))[:, None]
+        log = model.cell_log_likelihood(k, low, high, bias, effects, deviation).sum(axis=-1)
+    log = log - 0.5 * axis**2
     log -= logsumexp(log, axis=1, keepdims=True)
     return axis, logsumexp(log, axis=0)

@@ -23,7 +23,7 @@ STEPS = 2  # of scoring; the nodes make up for what is left
 FAR = 5.0  # sds, beyond which no mode is looked for
 NUDGE = 0.1  # of the deviation, for slope and curvature by differences
 AXIS = np.linspace(-5.0, 5.0, 25)  # of deviations to draw, in their sds about the mode
-AT_ONCE = 1_000_000  # numbers that are in memory together
+AT_ONCE = 100_000  # numbers of an array: a dozen such stay in the cache
 
 
 class Sessions(Protocol):
