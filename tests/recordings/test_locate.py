@@ -532,12 +532,13 @@ def test_a_shape_at_rest_that_nobody_gave_is_mixed_over() -> None:
 
 def test_stiffness_is_mixed_over_as_the_engine_sums_over_it() -> None:
     """Two noises, nearly alike: the values of stiffness beside layers of the engine."""
-    from weberwhisk.recordings.mixture import cases_of, rows_of
+    from weberwhisk.recordings.mixture import Done, Readings, Spread, cases_of, rows_of
 
     y = _readings(SOFT, 0.2, 4, seed=5)[1]
+    readings = Readings(y, np.ones(4))
     noises = [lambda *_: ww.receptors.Weber(0.2), lambda *_: ww.receptors.Weber(0.2001)]
-    cases = cases_of(C2, SOFT, None, np.ones(4), noises, None)
-    ends, values = rows_of(cases, np.arange(4), y, None, lambda done: None)
+    cases = cases_of(C2, SOFT, None, noises, None)
+    ends, values = rows_of(cases, readings, Spread(), Done())
     p = ww.posterior(ww.Observer(C2, SOFT, ww.receptors.Weber(0.2)), y)
     np.testing.assert_allclose(values[:, 0], p.mean, atol=0.05 * p.sd.min())
     np.testing.assert_allclose(values[:, 1], p.sd, rtol=0.05)
@@ -545,8 +546,77 @@ def test_stiffness_is_mixed_over_as_the_engine_sums_over_it() -> None:
     # Readings over the stiffness and whiskers of each are one and the same; the latter serve noise
     # with a floor of its own, here of next to nothing.
     floored = [ww.receptors.GeneralisedWeber(k, floor=1e-15) for k in (0.2, 0.2001)]
-    whiskers = cases_of(C2, SOFT, None, np.ones(4), floored, None)
-    assert (len(cases.cases), len(whiskers.cases)) == (1, 5)
-    other = rows_of(whiskers, np.arange(4), y, None, lambda done: None)
-    np.testing.assert_allclose(other.ends, ends, rtol=1e-4)
-    np.testing.assert_allclose(other.values[:, :2], values[:, :2], rtol=1e-5)
+    whiskers = cases_of(C2, SOFT, None, floored, None)
+    assert (len(cases.observers), len(whiskers.observers)) == (1, 5)
+    stiff = rows_of(whiskers, readings, Spread(), Done())
+    np.testing.assert_allclose(stiff.ends, ends, rtol=1e-4)
+    np.testing.assert_allclose(stiff.values[:, :2], values[:, :2], rtol=1e-5)
+
+
+def _film(rows: int) -> pd.DataFrame:
+    """Touches of four rows, on both sides of a whisker."""
+    rng = np.random.default_rng(7)
+    r = np.repeat(rng.uniform(10e-3, 25e-3, rows // 4), 4)
+    bent = ww.press(C2, r, np.tile([0.1, 0.2, 0.25, 0.3], rows // 4))
+    side = np.where(np.arange(rows) < rows // 2, 1, -1)
+    noisy = {
+        name: signal * (1 + 0.1 * rng.standard_normal(rows))
+        for name, signal in (("moment", bent.moment * side), ("axial_force", bent.axial_force))
+    }
+    return pd.DataFrame({**noisy, "touch": np.arange(rows) // 4})
+
+
+def test_workers_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By lattices, which may want cells of the observer, and by cells alone."""
+    from weberwhisk.recordings import mixture
+
+    monkeypatch.setattr(mixture, "BLOCK", 8)
+    film, done = _film(16), []
+    here = ww.locate(film, C2, touch="touch", progress=lambda *at: done.append(at))
+    assert done[-1] == (32, 32)
+    assert done == sorted(done)
+    by_cells = ww.locate(film, C2, touch="touch", noise=0.1)
+    for workers in (1, 2):
+        there = ww.locate(film, C2, touch="touch", workers=workers)
+        pd.testing.assert_frame_equal(here, there, check_exact=True)
+    there = ww.locate(film, C2, touch="touch", noise=0.1, workers=2)
+    pd.testing.assert_frame_equal(by_cells, there, check_exact=True)
+    with pytest.raises(ValueError, match="workers"):
+        ww.locate(_film(16), C2, workers=0)
+
+
+@pytest.mark.parametrize("curvature", [-15.0, 0.0, 10.0])
+@pytest.mark.parametrize("k", [0.06, 0.2])
+def test_lattices_agree_with_cells(curvature: float, k: float) -> None:
+    """Moments, quantiles and evidence, where the lattice claims them; it claims most of them."""
+    from weberwhisk.inference import default_noise
+    from weberwhisk.inference.quadrature import sums_of
+    from weberwhisk.recordings.lattice import ALONE, Lattice, step_of
+
+    whisker, cue = replace(C2, curvature=curvature), ww.cues.ForceMap()
+    observer = ww.Observer(whisker, cue, default_noise(whisker, cue, k))
+    y = _film(40)[["moment", "axial_force"]].abs().to_numpy()
+    cells = sums_of(observer, y)
+    densities = Lattice(observer, step_of(observer.noise, 2)).under(observer.noise, ALONE)
+    sums = densities.sums(y)
+    good = (sums.error < 2e-3) & (cells.error < 2e-3)
+    assert good.mean() > 0.9
+    off = (sums.mean - cells.mean)[good] / cells.sd[good]
+    np.testing.assert_allclose(off, 0, atol=5e-3)
+    np.testing.assert_allclose(sums.sd[good], cells.sd[good], rtol=5e-3)
+    np.testing.assert_allclose(sums.log_evidence[good], cells.log_evidence[good], atol=5e-3)
+    p = np.array([0.025, 0.5, 0.975])
+    off = densities.quantiles(sums.layers, p)[good] - cells.quantiles(p, 0)[good]
+    np.testing.assert_allclose(off / cells.sd[good, :1], 0, atol=0.02)
+
+
+def test_a_touch_does_not_depend_on_touches_of_the_other_side() -> None:
+    whisker = replace(C2, curvature=-15.0)
+    film = _film(16)
+    both = ww.locate(film, whisker, touch="touch")["touch_status"]
+    assert (both == "converged").all()
+    for noise in (0.1, ww.receptors.GeneralisedWeber(0.1, floor=[0, 2e-6])):
+        every = ww.locate(film, whisker, touch="touch", noise=noise)
+        alone = ww.locate(film.iloc[8:], whisker, touch="touch", noise=noise)
+        numbers = [name for name in alone if name.startswith("touch_r") or name == "touch_sd_mm"]
+        pd.testing.assert_frame_equal(every.iloc[8:][numbers], alone[numbers], rtol=1e-6)

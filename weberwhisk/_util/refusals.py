@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-__all__ = ["Advice", "Argument", "Call", "Named", "Refusal", "argument", "call", "named"]
+__all__ = [
+    "Advice", "Argument", "Call", "Named", "Refusal", "Remedy", "argument", "call", "named",
+    "remedy", "without_remedies",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,16 @@ class Call:
 Typed = Named | Argument | Call
 
 
+@dataclass(frozen=True)
+class Remedy:
+    """What to write for another answer: text that a report of the answer leaves out."""
+
+    text: Advice
+
+    def __str__(self) -> str:
+        return str(self.text)
+
+
 class Advice(str):
     """Text of which pieces can be typed; as a str it says them in Python.
 
@@ -68,17 +81,17 @@ class Advice(str):
     'write --bias none, say'
     """
 
-    pieces: tuple[str | Typed, ...]
+    pieces: tuple[str | Typed | Remedy, ...]
 
-    def __new__(cls, *pieces: str | Typed) -> Advice:
-        flat: list[str | Typed] = []
+    def __new__(cls, *pieces: str | Typed | Remedy) -> Advice:
+        flat: list[str | Typed | Remedy] = []
         for piece in pieces:
             flat.extend(piece.pieces if isinstance(piece, Advice) else [piece])
         made = super().__new__(cls, "".join(map(str, flat)))
         made.pieces = tuple(flat)
         return made
 
-    def __getnewargs__(self) -> tuple[str | Typed, ...]:  # type: ignore[override]
+    def __getnewargs__(self) -> tuple[str | Typed | Remedy, ...]:  # type: ignore[override]
         return self.pieces
 
     def __add__(self, text: str) -> Advice:
@@ -94,7 +107,11 @@ class Advice(str):
 
     def rendered(self, write: Callable[[Typed], str]) -> str:
         """The text with each piece that can be typed as `write` has it."""
-        return "".join(p if isinstance(p, str) else write(p) for p in self.pieces)
+        return "".join(
+            p.text.rendered(write) if isinstance(p, Remedy)
+            else str(p) if isinstance(p, str) else write(p)
+            for p in self.pieces
+        )  # fmt: skip
 
 
 def named(name: str) -> Advice:
@@ -122,6 +139,26 @@ def call(function: str, *arguments: str, also: str = "") -> Advice:
     'fit_weber(trials, states=3)'
     """
     return Advice(Call(function, arguments, also))
+
+
+def remedy(text: str) -> Advice:
+    """What to write for another answer, as a text.
+
+    Examples
+    --------
+    >>> said = "A wire is straight" + remedy("; if bent, write " + argument("curvature", 5)) + "."
+    >>> print(said)
+    A wire is straight; if bent, write curvature=5.
+    >>> print(without_remedies(said))
+    A wire is straight.
+    """
+    return Advice(Remedy(Advice(text)))
+
+
+def without_remedies(text: str) -> str:
+    """A text without what to write for another answer."""
+    pieces = text.pieces if isinstance(text, Advice) else (text,)
+    return "".join(str(piece) for piece in pieces if not isinstance(piece, Remedy))
 
 
 def rendered(text: str, write: Callable[[Typed], str]) -> str:

@@ -227,6 +227,11 @@ def locate(
     likelihood: Annotated[float, "Less likely keypoints are left out.", _VIDEO] = 0.6,
     face: Annotated[opt.Text, "Where the face is: left, right, top or bottom.", _VIDEO] = None,
     pole_px: Annotated[opt.Texts, "The pole: x, y.", _VIDEO] = None,
+    workers: Annotated[
+        int | None, "Processes, for long tables.  [default: this one]",
+        {"rich_help_panel": "Workers"},
+    ] = None,
+    scheduler: str | None = None,
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
@@ -277,7 +282,8 @@ def locate(
             )
         table = ww.locate(
             table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
-            known_stiffness=shape.youngs_modulus_gpa is not None, progress=step,
+            known_stiffness=shape.youngs_modulus_gpa is not None, progress=step, workers=workers,
+            scheduler=scheduler,
         )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])

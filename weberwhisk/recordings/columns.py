@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -11,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from .._util import checks
-from .._util.refusals import Refusal, argument, named
+from .._util.refusals import Refusal, argument, named, remedy
 from .._util.values import Array, Flags
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
-from ..cues.protocol import MeasuredAngle
+from ..cues.protocol import MeasuredAngle, is_curved
 from ..cues.unknowns import Friction
 from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral
@@ -269,6 +270,15 @@ def sides_of(lead: Array, sd: Array | None, touch: Any, within: float = 4.0) -> 
     return np.where((np.abs(z) < within) & (likelier != 0), np.sign(likelier), side)
 
 
+def seen_from_sides(whisker: Any) -> tuple[Any, Any]:
+    """The whisker as pushes to the positive and the negative side meet it, there mirrored."""
+    if not is_curved(whisker):
+        return whisker, whisker
+    if isinstance(whisker, Whisker):
+        return whisker, replace(whisker, curvature=-whisker.curvature)
+    return whisker, whisker.curved(whisker.law.scaled(np.ones(()), -1.0))
+
+
 def read_contacts(
     table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
 ) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
@@ -327,48 +337,57 @@ def reversing(
 
 
 def sign_note(
-    si: dict[str, Array], shapes: Sequence[Any], found: Mapping[str, tuple[str, float, bool]],
-    columns: Mapping[str, str] | None, notes: list[str],
+    si: dict[str, Array], side: Array, whiskers: Sequence[Any],
+    units_of: Mapping[str, tuple[str, float, bool]], columns: Mapping[str, str] | None,
+    notes: list[str],
 ) -> None:  # fmt: skip
     """Note the sign convention in which the rows fit the whisker clearly better.
 
-    `shapes` holds, for each possible shape at rest, the rows of either side and the whisker as
-    seen from that side. Axial forces and angles of a curved whisker may have either sign.
+    Of `whiskers`, one for each possible shape at rest, pushed to either `side`. Axial forces and
+    angles of a curved whisker may have either sign.
     """
     names = [n for n in SIGNED if n in si]
     free = names[1:]  # the first gives the side
     signs = np.array(list(product([1.0, -1.0], repeat=len(free))))
     cost = np.full((len(signs), len(si[names[0]])), np.inf)
-    cost[:, ~_countable(si, names)] = 0.0
-    for rows, whisker in (side for shape in shapes for side in shape):
-        rows = rows[_countable(si, names)[rows]]
-        rows = rows[:: 1 + len(rows) // 60]
-        y = np.stack([si[n][rows] for n in names], axis=-1)
-        observer = Observer(whisker, ForceMap())
-        contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
-        signals, outcome = MeasuredAngle(ForceMap(SIGNALS)).signals(observer.whisker, contact)
-        known = dict(zip((*SIGNALS, "deflection_angle"), signals[outcome == Outcome.HELD].T,
-                         strict=True))  # fmt: skip
-        model = np.stack([known[n] for n in names], axis=-1)
-        softer = np.exp(np.linspace(-1.0, 1.0, 9))[:, None]
-        scale = np.where(np.array(names) == "deflection_angle", 1.0, softer)
-        model = (scale[:, None] * model).reshape(-1, len(names))
-        size = 0.02 * (y[:, None] ** 2 + model**2) + 1e-300
-        for i, sign in enumerate(signs):
-            off = (y[:, None] * np.append(1.0, sign) - model) ** 2 / size
-            off = np.minimum(off.sum(axis=2).min(axis=1), 30.0)
-            cost[i, rows] = np.minimum(cost[i, rows], off)
+    usable = _countable(si, names)
+    cost[:, ~usable] = 0.0
+    for whisker in whiskers:
+        for sign, seen in zip((1, -1), seen_from_sides(whisker), strict=True):
+            pushed = np.flatnonzero(usable & (side == sign))
+            pushed = pushed[:: 1 + len(pushed) // 60]
+            if pushed.size:
+                y = np.stack([si[n][pushed] for n in names], axis=-1)
+                cost[:, pushed] = np.minimum(cost[:, pushed], _sign_costs(seen, names, y, signs))
     cost = np.where(np.isfinite(cost), cost, 0.0).sum(axis=1)
     best = int(cost.argmin())
     if cost[best] < cost[0] - 6:
-        turned = [name for name, sign in zip(free, signs[best], strict=True) if sign < 0]
-        said = " and ".join(name.replace("_", " ") for name in turned)
-        mapped = argument("columns", reversing(turned, found, columns))
+        negative = [name for name, sign in zip(free, signs[best], strict=True) if sign < 0]
+        quantities = " and ".join(name.replace("_", " ") for name in negative)
+        mapped = argument("columns", reversing(negative, units_of, columns))
         notes.append(
-            f"The rows fit this whisker better with the {said} of the opposite sign, and are taken "
-            "as they are: the axial force above zero in compression, angle and transverse force of "
-            "the moment's sign; if the table has it otherwise, write " + mapped + "."
+            f"The rows fit this whisker better with the {quantities} of the opposite sign, and are "
+            "taken as they are: the axial force above zero in compression, angle and transverse "
+            "force of the moment's sign"
+            + remedy("; if the table has it otherwise, write " + mapped)
+            + "."
         )
+
+
+def _sign_costs(whisker: Any, names: list[str], y: Array, signs: Array) -> Array:
+    """How badly rows (n, S) fit a whisker at its best contact, under each choice of signs."""
+    observer = Observer(whisker, ForceMap())
+    contact = observer.space.constrain(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
+    signals, outcome = MeasuredAngle(ForceMap(SIGNALS)).signals(observer.whisker, contact)
+    by_name = dict(zip((*SIGNALS, "deflection_angle"), signals[outcome == Outcome.HELD].T,
+                       strict=True))  # fmt: skip
+    model = np.stack([by_name[n] for n in names], axis=-1)
+    softer = np.exp(np.linspace(-1.0, 1.0, 9))[:, None]
+    scale = np.where(np.array(names) == "deflection_angle", 1.0, softer)
+    model = (scale[:, None] * model).reshape(-1, len(names))
+    size = 0.02 * (y[:, None] ** 2 + model**2) + 1e-300
+    deviations = [(y[:, None] * np.append(1.0, sign) - model) ** 2 / size for sign in signs]
+    return np.stack([np.minimum(d.sum(axis=2).min(axis=1), 30.0) for d in deviations])
 
 
 def _countable(si: dict[str, Array], names: list[str]) -> Flags:
@@ -403,8 +422,12 @@ def signals_of(
             cue = UnknownStiffness(cue)
             notes.append(
                 "Young's modulus is the default, and so taken as unknown: 3.34 GPa with an sd of "
-                "ln 0.42; if it was measured, write known_stiffness=True or, on the command line, "
-                "--youngs-modulus-gpa."
+                "ln 0.42"
+                + remedy(
+                    "; if it was measured, write known_stiffness=True or, on the command line, "
+                    "--youngs-modulus-gpa"
+                )
+                + "."
             )
     names = {"measured_angle": "deflection_angle"}
     wanted = [names.get(name, name) for name in cue.signal_names]

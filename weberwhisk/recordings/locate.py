@@ -1,8 +1,11 @@
-"""`locate`: one posterior for each row of a table, and one for each touch."""
+"""`locate`: one posterior for each row of a table, and one for each touch.
+
+Columns are read (`columns.py`), noise that was not given is learnt (`learning.py`), and rows and
+touches are located under all whiskers and noises that are possible (`mixture.py`).
+"""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._util import checks
-from .._util.refusals import Refusal, argument, call, named
+from .._util.refusals import Refusal, argument, call, named, remedy, without_remedies
 from .._util.values import Array, Index, counted, methods_text
-from ..cues import Cue, ForceMap
+from ..cues import Cue
 from ..cues.protocol import is_curved
 from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
@@ -41,7 +44,20 @@ from .columns import (
     signals_of,
     values_of,
 )
-from .mixture import BELIEF, Cases, Learnt, cases_of, learn, rows_of, scaled, touches_of, usual_bow
+from .learning import BELIEF, Learnt, learn, rescaled_noise
+from .mixture import (
+    ERROR,
+    MISFIT,
+    Cases,
+    Done,
+    Readings,
+    Spread,
+    cases_of,
+    rows_of,
+    touches_of,
+    usual_bow,
+    whiskers_of,
+)
 
 __all__ = ["MEASURED", "OFF_BY", "RESULTS", "TOUCH_RESULTS", "locate", "methods_paragraph"]
 
@@ -65,6 +81,7 @@ def locate(
     units: Mapping[str, str] | None = None, touch: str | Sequence[Any] | None = None,
     noise: ReceptorNoise | ArrayLike | None = None, prior: Mapping[str, Any] | None = None,
     known_stiffness: bool | None = None, progress: Callable[[int, int], None] | None = None,
+    workers: int | None = None, scheduler: str | None = None,
 ) -> pd.DataFrame:  # fmt: skip
     """Infer the radial distance of each contact of a table, with its uncertainty.
 
@@ -108,7 +125,11 @@ def locate(
         By default true if Young's modulus is not the default one. An unknown stiffness has the
         published spread of moduli.
     progress : callable, optional
-        Called with (rows done, rows in all).
+        Called with (rows done, rows in all), where rows of touches count twice.
+    workers, scheduler : optional
+        Processes, or the address of a dask cluster, as for `weberwhisk.campaign.run`, for tables
+        that outgrow a core. The numbers are the same to the bit for any number of workers, each of
+        which takes some seconds to start.
 
     Returns
     -------
@@ -145,43 +166,16 @@ def locate(
     0                19.6  converged
     1                29.3  converged
     """
+    pool = Spread(workers, scheduler)
     if isinstance(whisker, Calibration):
-        if cue is not None or noise is not None:
-            raise Refusal(
-                "A calibration has its own cue and noise",
-                remedy=(
-                    "leave both out, or write ww.locate(table, calibration.whisker, "
-                    "cue=calibration.cue, noise=calibration.noise)"
-                ),
-            )
-        columns, units = ({n: v for n, v in (given or {}).items() if n != "radial_distance"}
-                          for given in (columns, units))  # fmt: skip
-        raw, si, _ = read_contacts(table, columns, units)
-        if ("angular_velocity" in si) != whisker.by_velocity:
-            having, lacking = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
-            raise Refusal(
-                f"The {having} have an angular_velocity, the {lacking} have none, and their "
-                "slopes cannot be compared",
-                remedy="give both or neither",
-            )
-        best: Any = {"cue": whisker.cue, "noise": whisker.noise}
-        located = locate(
-            raw, whisker.whisker, **best, columns=columns, units=units, touch=touch, prior=prior,
-            progress=progress,
+        return _by_calibration(
+            whisker, table, cue, noise, columns, units, touch, prior,
+            progress=progress, workers=workers, scheduler=scheduler,
         )  # fmt: skip
-        _, y, covariance = signals_of(si, whisker.cue, whisker.whisker, True, [], [*raw.columns])
-        observer = Observer(whisker.whisker, **best, prior=prior or {})
-        none = np.full(len(raw), -1)
-        slopes = Slopes(
-            y[:, 0], np.zeros(len(raw)) if covariance is None else covariance[:, 0, 0],
-            none if touch is None else _numbered(_touches_of(raw, touch, [])),
-            partial(distance_prior, observer),
-        )  # fmt: skip
-        return averaged(whisker, located, slopes)
     checks.kind(
         "whisker", whisker, "a Whisker", "stiffness", "write ww.Whisker.from_identity('C2')"
     )
-    raw, si, found = read_contacts(table, columns, units)
+    raw, si, units_of = read_contacts(table, columns, units)
     for name in (*RESULTS, MEASURED, OFF_BY, *(TOUCH_RESULTS if touch is not None else ())):
         if name in raw:
             raise Refusal(f"The table has a column {name!r} already", remedy="rename or drop it")
@@ -189,13 +183,13 @@ def locate(
     several = [c for c in ("whisker", "identity") if c in raw and raw[c].nunique() > 1]
     if several:
         notes.append(f"The column {several[0]!r} names several whiskers: all rows are of one here.")
-    if unsaid := [q for q, (_, _, said) in found.items() if not said]:
+    if unsaid := [q for q, (_, _, said) in units_of.items() if not said]:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
-    named = None if touch is None else _touches_of(raw, touch, notes)
+    touch_names = None if touch is None else _touches_of(raw, touch, notes)
     common, misfit = np.zeros(len(raw)), np.zeros(len(raw))
     bow = usual_bow(whisker) if cue is None or cue.takes_curved else None
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
-        whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
+        whisker, cue, si, side = from_shape(raw, si, whisker, cue, touch_names, notes)
         common, misfit, bow = values_of(raw, COMMON), values_of(raw, "misfit"), None
     else:
         si = planar(si, notes)
@@ -208,59 +202,98 @@ def locate(
                     "ww.posterior(ww.Observer(whisker, ww.cues.SpaceMap()), readings)."
                 )
             bow = None
-        side = one_side(si, named, notes)
+        side = one_side(si, touch_names, notes)
         if len({*SIGNED} & {*si}) > 1:
-            bent = cases_of(whisker, ForceMap(), bow, side, [default_noise], None)
-            shapes = [[(rows, o.whisker) for rows, o in c[0]] for c in bent.cases]
-            sign_note(si, shapes, found, columns, notes)
+            sign_note(si, side, whiskers_of(whisker, bow), units_of, columns, notes)
     cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, [*raw.columns])
     bow = bow if cue.takes_curved else None
-    own: Any = whisker
-    plain = Observer(own, cue, _receptors(noise, whisker, cue), prior or {})
+    plain = Observer(whisker, cue, _receptors(noise, whisker, cue), prior or {})  # type: ignore[arg-type]
     if plain.noise.is_categorical or not plain.noise.reads_signals:
         raise Refusal(f"A table holds signals, which {plain.noise!r} does not report.")
-    check_magnitudes(plain, y, found)
+    check_magnitudes(plain, y, units_of)
     touches: Index = np.full(len(raw), -1)
-    if named is not None:
-        touches = _numbered(named)
-    learns = noise is None and covariance is None and type(plain.noise) in (Weber, GeneralisedWeber)
+    if touch_names is not None:
+        touches = _numbered(touch_names)
+    readings = Readings(y, side, covariance)
 
     def of(*laws: Any) -> Cases:
-        return cases_of(whisker, cue, bow, side, laws, prior)
+        return cases_of(whisker, cue, bow, laws, prior)
 
-    receptor_noise = isinstance(noise, ReceptorNoise)
-    given = of(noise if receptor_noise else partial(_receptors, noise))
-    learnt = Learnt(np.ones((1, 1)))
+    given = of(noise if isinstance(noise, ReceptorNoise) else partial(_receptors, noise))
+    learnt = None
     receptors = covariance is None or noise is not None
     cases = given if receptors else of(without_receptors)
-    if learns:
-        learnt = learn(given, y, touches)
-        cases = of(*(partial(scaled, factor=factor) for factor in learnt.factors))
-    status, numbers = _rows(cases, y, covariance, receptors, progress)
+    if noise is None and covariance is None and type(plain.noise) in (Weber, GeneralisedWeber):
+        learnt = learn(given, readings, touches)
+        cases = of(*(partial(rescaled_noise, factor=factor) for factor in learnt.factors))
+    done = Done(progress, len(raw) + (touches >= 0).sum())
+    status, numbers = _located(cases, readings, receptors, pool, done)
     status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
-    columns_of = dict(zip(RESULTS, numbers.T, strict=False))
+    results = dict(zip(RESULTS, numbers.T, strict=False))
     if covariance is not None and receptors:
-        columns_of[MEASURED] = _rows(of(without_receptors), y, covariance, False, None)[1][:, 1]
+        alone = _located(of(without_receptors), readings, False, pool, Done())
+        results[MEASURED] = alone[1][:, 1]
     if y.shape[1] > len(plain.unknowns):
-        columns_of[OFF_BY] = numbers[:, 6]
-    columns_of["status"] = np.array([Status(s).name.lower() for s in status], dtype=object)
-    columns_of["message"] = np.array([Status(s).message for s in status], dtype=object)
-    if named is not None:
-        each, words = _of_touches(
-            cases, numbers[:, :4], status, y, covariance, touches, common, learnt
+        results[OFF_BY] = numbers[:, 6]
+    results["status"] = np.array([Status(s).name.lower() for s in status], dtype=object)
+    results["message"] = np.array([Status(s).message for s in status], dtype=object)
+    if touch_names is not None:
+        each, words = _located_touches(
+            cases, numbers[:, :4], status, readings, touches, common, learnt, pool, done
         )
-        columns_of |= dict(zip(TOUCH_RESULTS, each.T, strict=False)) | {"touch_status": words}
-    notes += [_whisker_in_words(whisker, bow), f"Cue: {cue!r}."]
-    notes.append(
-        _noise_in_words(plain, covariance is not None, receptors, learnt if learns else None)
-    )
-    notes.append(_priors(plain))
+        results |= dict(zip(TOUCH_RESULTS, each.T, strict=False)) | {"touch_status": words}
+    notes += [
+        _whisker_in_words(whisker, bow),
+        f"Cue: {cue!r}.",
+        _noise_in_words(plain, covariance is not None, receptors, learnt),
+        _priors(plain),
+    ]
     if bow is None and (note := plain.note):
-        notes.append(f"{note}.")
+        notes.append(note + ".")
     order = (*RESULTS[:6], MEASURED, OFF_BY, *RESULTS[6:], *TOUCH_RESULTS)
-    out = raw.assign(**{name: columns_of[name] for name in order if name in columns_of})
+    out = raw.assign(**{name: results[name] for name in order if name in results})
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
+
+
+def _by_calibration(
+    calibration: Calibration, table: Any, cue: Cue | None, noise: Any, columns: Any, units: Any,
+    touch: Any, prior: Any, **options: Any,
+) -> pd.DataFrame:  # fmt: skip
+    """The table located by the best fit of a calibration, and averaged over its samples."""
+    if cue is not None or noise is not None:
+        raise Refusal(
+            "A calibration has its own cue and noise",
+            remedy=(
+                "leave both out, or write ww.locate(table, calibration.whisker, "
+                "cue=calibration.cue, noise=calibration.noise)"
+            ),
+        )
+    columns, units = ({n: v for n, v in (given or {}).items() if n != "radial_distance"}
+                      for given in (columns, units))  # fmt: skip
+    raw, si, _ = read_contacts(table, columns, units)
+    if ("angular_velocity" in si) != calibration.by_velocity:
+        having, lacking = ("taps", "contacts") if calibration.by_velocity else ("contacts", "taps")
+        raise Refusal(
+            f"The {having} have an angular_velocity, the {lacking} have none, and their "
+            "slopes cannot be compared",
+            remedy="give both or neither",
+        )
+    best: Any = {"cue": calibration.cue, "noise": calibration.noise}
+    located = locate(
+        raw, calibration.whisker, **best, columns=columns, units=units, touch=touch, prior=prior,
+        **options,
+    )  # fmt: skip
+    _, y, covariance = signals_of(
+        si, calibration.cue, calibration.whisker, True, [], [*raw.columns]
+    )
+    observer = Observer(calibration.whisker, **best, prior=prior or {})
+    slopes = Slopes(
+        y[:, 0], np.zeros(len(raw)) if covariance is None else covariance[:, 0, 0],
+        np.full(len(raw), -1) if touch is None else _numbered(_touches_of(raw, touch, [])),
+        partial(distance_prior, observer),
+    )  # fmt: skip
+    return averaged(calibration, located, slopes)
 
 
 def _receptors(noise: Any, whisker: Any, cue: Cue) -> Any:
@@ -335,20 +368,19 @@ def _whisker_in_words(whisker: Any, bow: float | None) -> str:
         if not (is_wire(plain) or plain.hinge_stiffness):
             return f"{out}, taken as straight."
         what = "a wire and so " if is_wire(plain) else ""
-        bent = "write " + argument("curvature", 5) + ", say."
-        return f"{out}, {what}taken as straight; if it is bent, " + bent
+        bent = remedy("; if it is bent, write " + argument("curvature", 5) + ", say")
+        return f"{out}, {what}taken as straight" + bent + "."
     if bow is None:
         return f"{out}, {'curved' if is_curved(whisker) else 'straight'}."
-    own = argument("curvature", float(f"{bow:.2g}"))
+    curved = argument("curvature", float(f"{bow:.2g}"))
     if plain.identity:
-        own = call("ww.Whisker.from_identity", "...", argument("curved", True))
+        curved = call("ww.Whisker.from_identity", "...", argument("curved", True))
+    straight = argument("curvature", 0)
     return (
         f"{out}, of unknown shape at rest: its curvature has a normal prior of mean 0 and sd "
-        f"{bow:.2g} /m, as is usual of its kind, to either side: write "
-        + argument("curvature", 0)
-        + " of a straight whisker, "
-        + own
-        + " of a curved one."
+        f"{bow:.2g} /m, as is usual of its kind, to either side"
+        + remedy(": write " + straight + " of a straight whisker, " + curved + " of a curved one")
+        + "."
     )
 
 
@@ -359,16 +391,17 @@ def _noise_in_words(plain: Observer, measured: bool, receptors: bool, learnt: Le
         law = f"{plain.noise!r}" if receptors else ""
         both = " and ".join(filter(None, ["its measurement errors" if measured else "", law]))
         return f"Noise of the table's numbers: {both}."
-    scale = np.exp(np.log(learnt.factors).mean(axis=0))
-    k = plain.noise.weber_fractions(size) * scale
-    said = ", ".join(f"{v:.2g} of {n}" for v, n in zip(k, names, strict=True) if v > 0)
+    factor = np.exp(np.log(learnt.factors).mean(axis=0))
+    k = plain.noise.weber_fractions(size) * factor
+    fractions = ", ".join(f"{v:.2g} of {n}" for v, n in zip(k, names, strict=True) if v > 0)
     how = (
-        f"was learnt from {learnt.said} (belief about k: {BELIEF})" if learnt.said else
+        f"was learnt from {learnt.source} (belief about k: {BELIEF})" if learnt.source else
         f"follows from nothing in this table: it is as believed of such tables (k {BELIEF})"
     )  # fmt: skip
     return (
-        f"The noise of the table's numbers was not given and {how}: k = {said}; "
-        "where it is known, write " + argument("noise", 0.1, of="locate") + "."
+        f"The noise of the table's numbers was not given and {how}: k = {fractions}"
+        + remedy("; if it was measured, write " + argument("noise", 0.1, of="locate"))
+        + "."
     )
 
 
@@ -377,11 +410,11 @@ def _priors(observer: Observer) -> str:
     low, high = (1e3 * end for end in observer.reach)
     flat = {"radial_distance": f"flat from {low:.3g} to {high:.3g} mm",
             "deflection_angle": "flat up to where the whisker is lost"}  # fmt: skip
-    said = [
+    priors = [
         f"{name} {in_words(observer.prior[name]) if name in observer.prior else flat[name]}"
         for name in observer.unknowns
     ]
-    return f"Priors: {', '.join(said)}."
+    return f"Priors: {', '.join(priors)}."
 
 
 def methods_paragraph(located: pd.DataFrame) -> str:
@@ -389,47 +422,43 @@ def methods_paragraph(located: pd.DataFrame) -> str:
     status = located["status"].value_counts()
     counts = ", ".join(f"{n} {str(name).replace('_', ' ')}" for name, n in status.items())
     many = counted(len(located), "row")
-    said = [f"Radial distances were inferred of {many} of a table ({counts})."]
+    sentences = [f"Radial distances were inferred of {many} of a table ({counts})."]
     if "touch_status" in located:
         touches = located[TOUCH_RESULTS[0]].nunique()
-        said.append(f"Rows of a touch share its distance; {counted(touches, 'touch')} located.")
-    # A note may end with what to write for another model: that is no method.
-    advice = re.compile(r"(; [^;:]*,|:) write [^;]*$")
-    notes = (advice.sub(".", note) for note in located.attrs["notes"])
-    return methods_text([*said, *notes, "Posteriors are by quadrature."])
+        count = counted(touches, "touch")
+        sentences.append(f"Rows of a touch share its distance; {count} located.")
+    notes = map(without_remedies, located.attrs["notes"])
+    return methods_text([*sentences, *notes, "Posteriors are by quadrature."])
 
 
-def _rows(
-    cases: Cases, y: Array, covariance: Array | None, receptors: bool,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[Index, Array]:  # fmt: skip
-    """Status of each row of y (n, S), and numbers (n, 7): those of `RESULTS`, and `OFF_BY`."""
-    n, numbers = len(y), np.full((len(y), 7), np.nan)
-    status: Index = np.full(n, int(Status.NOT_A_READING))
+def _located(
+    cases: Cases, readings: Readings, receptors: bool, pool: Spread, done: Done
+) -> tuple[Index, Array]:
+    """Status of each row (n,), and numbers (n, 7): those of `RESULTS`, and `OFF_BY`."""
+    y, covariance = readings.y, readings.covariance
+    numbers = np.full((len(y), 7), np.nan)
+    status: Index = np.full(len(y), int(Status.NOT_A_READING))
     finite = np.isfinite(y).all(axis=1)
     if covariance is not None:
         finite &= np.isfinite(covariance).all(axis=(1, 2))
     zero = (y == 0).any(axis=1)
     status[finite & zero] = Status.NO_CONTACT
-    rows = np.flatnonzero(finite & ~zero)
-    begun = n - len(rows)
-    ends, values = rows_of(
-        cases, rows, y, covariance, lambda done: progress and progress(begun + done, n)
-    )
-    middle = cases.cases[len(cases.cases) // 2]
-    observer = middle[0][0][1]
-    numbers[rows] = np.column_stack([values[:, :2], ends, values[:, [2, 3, 5]]])
+    usable = np.flatnonzero(finite & ~zero)
+    done(len(y) - len(usable))
+    ends, values = rows_of(cases, readings.of(usable), pool, done)
+    observer = cases.middle[0][0]
+    numbers[usable] = np.column_stack([values[:, :2], ends, values[:, [2, 3, MISFIT]]])
     numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi, 1]
     if observer.bounded < 2:
         numbers[:, 4:6] = np.nan
-    mean, sd, error, off = values[:, [0, 1, 4, 5]].T
-    own = np.full(len(rows), int(Status.CONVERGED))
-    outside = receptors and all(domain.of_observer(case[0][1]) for case in middle)
-    own[(mean < domain.CONTACTS[0] * observer.reach[1]) | outside] = Status.OUTSIDE_DOMAIN
-    own[sd > 0.9 * _prior_sd(observer)] = Status.UNIDENTIFIED
-    own[~(error <= TOLERANCE)] = Status.IMPRECISE
-    own[~(off <= 5)] = Status.IMPROBABLE_READING
-    status[rows] = own
+    mean, sd, error, misfit = values[:, [0, 1, ERROR, MISFIT]].T
+    each = np.full(len(usable), int(Status.CONVERGED))
+    outside = receptors and all(domain.of_observer(pair[0]) for pair in cases.middle)
+    each[(mean < domain.CONTACTS[0] * observer.reach[1]) | outside] = Status.OUTSIDE_DOMAIN
+    each[sd > 0.9 * _prior_sd(observer)] = Status.UNIDENTIFIED
+    each[~(error <= TOLERANCE)] = Status.IMPRECISE
+    each[~(misfit <= 5)] = Status.IMPROBABLE_READING
+    status[usable] = each
     return status, numbers
 
 
@@ -440,28 +469,30 @@ def _prior_sd(observer: Observer) -> float:
     return float(np.sqrt(np.average((r - mean) ** 2, weights=weight)))
 
 
-def _of_touches(
-    cases: Cases, alone: Array, status: Index, y: Array, covariance: Array | None, touches: Index,
-    common: Array, learnt: Learnt,
+def _located_touches(
+    cases: Cases, alone: Array, status: Index, readings: Readings, touches: Index, common: Array,
+    learnt: Learnt | None, pool: Spread, done: Done,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
     """Numbers (n, 4) of each row's touch, in the order of `TOUCH_RESULTS`, and its status.
 
     A touch with one usable row has that row's numbers from `alone`. The part of the error that all
     rows share, `common` (n,) in mm, does not average out over the rows of a touch.
     """
-    numbers = np.full((len(y), 4), np.nan)
-    words = np.full(len(y), "no_touch", dtype=object)
+    numbers = np.full((len(touches), 4), np.nan)
+    words = np.full(len(touches), "no_touch", dtype=object)
     good = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN))
     several: list[tuple[Index, Index]] = []  # rows of a touch, and those that are used
-    reach = np.full(len(y), np.nan)
-    for rows, observer in cases.cases[len(cases.cases) // 2][0]:
-        reach[rows] = observer.reach[1]
-    for name in range(touches.max(initial=-1) + 1):
-        rows = np.flatnonzero(touches == name)
-        used = rows[good[rows]]
-        words[rows] = "converged" if used.size else "not_a_reading"
+    reach = np.array([observer.reach[1] for observer in cases.middle[0]])
+    reach = np.where(readings.side < 0, reach[1], reach[0])
+    order = np.argsort(touches, kind="stable")
+    names, first = np.unique(touches[order], return_index=True)
+    for name, members in zip(names, np.split(order, first[1:]), strict=True):
+        if name < 0:
+            continue
+        used = members[good[members]]
+        words[members] = "converged" if used.size else "not_a_reading"
         if used.size == 1:
-            numbers[rows] = alone[used]
+            numbers[members] = alone[used]
         elif used.size:
             if np.ptp(reach[used]) > 0:
                 raise Refusal(
@@ -469,19 +500,18 @@ def _of_touches(
                     "differently far at the cue's angle",
                     remedy="give the rows of each side a touch of their own",
                 )
-            several.append((rows, used))
-    for begin in range(0, len(several), 64):
-        some = several[begin : begin + 64]
-        owner = np.full(len(y), -1)
-        for i, (_, used) in enumerate(some):
-            owner[used] = i
-        power = learnt.exponent(np.array([used.size for _, used in some]))
-        ends, values = touches_of(cases, y, covariance, owner, len(some), power)
-        for (rows, used), end, value in zip(some, 1e3 * ends, 1e3 * values, strict=True):
-            words[rows] = "converged" if np.isfinite(value[0]) else "rows_disagree"
-            if np.isfinite(value[0]):
-                more = (common[used] ** 2).mean() * (1 - 1 / used.size)
-                wider = np.sqrt(1 + more / value[1] ** 2)
-                end = np.maximum(value[0] + (end - value[0]) * wider, 0.0)
-                numbers[rows] = [value[0], value[1] * wider, *end]
+            several.append((members, used))
+    done((touches >= 0).sum() - sum(used.size for _, used in several))
+    sizes = np.array([used.size for _, used in several], dtype=float)
+    exponent = np.ones(len(sizes)) if learnt is None else learnt.exponent(sizes)
+    ends, values = touches_of(
+        cases, readings, [used for _, used in several], exponent, pool, done
+    )
+    for (members, used), end, value in zip(several, 1e3 * ends, 1e3 * values, strict=True):
+        words[members] = "converged" if np.isfinite(value[0]) else "rows_disagree"
+        if np.isfinite(value[0]):
+            more = (common[used] ** 2).mean() * (1 - 1 / used.size)
+            wider = np.sqrt(1 + more / value[1] ** 2)
+            end = np.maximum(value[0] + (end - value[0]) * wider, 0.0)
+            numbers[members] = [value[0], value[1] * wider, *end]
     return numbers, words

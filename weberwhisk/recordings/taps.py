@@ -25,7 +25,7 @@ from ..cues import Cue
 from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
 from ..whisker import Whisker
-from .mixture import curvature_at
+from .learning import curvature_at
 
 __all__ = [
     "BATCH", "GROSS_SHARE", "LEAST", "HingedTap", "Sensor", "TapModel", "far_rows", "gross_sets",
