@@ -94,6 +94,9 @@ def test_the_rat_is_the_one_shipped(folder: Path, numbers: dict) -> None:
     fit = ww.fit_weber(trials, bias="per standard", seed=1)
     assert rat["weber_fraction"] == pytest.approx(fit.weber_fraction)
     assert [rat["lower"], rat["upper"]] == pytest.approx(list(fit.interval()))
+    assert rat["holds"].startswith("What holds of this observer: the curve at every pair")
+    assert "What does not: answers that scatter by chance alone" in rat["holds"]
+    assert "The answers show streaks" in rat["holds"]
     choices = pd.read_csv(folder / "rat_choices.csv")
     assert choices["n"].sum() == trials.n_trials
     assert rat["lower"] < rat["weber_fraction"] < rat["upper"]

@@ -136,7 +136,42 @@ def rat_choices(
     run.table("rat_choices", fit.residuals())
     run.table("rat_fit", fit.summary().reset_index())
     run.figure("rat_psychometric", ww.plots.psychometrics(fit))
-    return {"sessions": sessions, "report": as_options(fit.report()), **fit.to_dict()}
+    said = {"holds": what_holds(fit), "report": as_options(fit.report())}
+    return {"sessions": sessions, **said, **fit.to_dict()}
+
+
+#: What each check asks of an observer.
+REQUIRED = {
+    "levels": "the curve at every pair",
+    "overdispersion": "answers that scatter by chance alone",
+    "exponent": "Weber's law",
+    "contraction": "no pull of the first sound to the mean",
+    "noise_by_order": "both sounds equally noisy",
+    "standard_second": "the standard alike in either place",
+    "sessions": "the same in every session",
+    "drift": "a Weber fraction that stays",
+    "trend": "no trend",
+    "repetition": "no pull of the answer before",
+    "outcome": "no pull of the side that was right before",
+    "streaks": "engaged throughout",
+}
+
+
+def what_holds(fit: ww.behaviour.WeberFit) -> str:
+    """What of an observer holds for these answers, what does not, and what that does to k."""
+    from ..behaviour.predictive import threshold
+
+    table = fit.checked
+    fires = table["p"] < threshold(table)
+    words = {
+        which: ", ".join(REQUIRED.get(str(name), str(name)) for name in table.index[fires == which])
+        for which in (False, True)
+    }
+    cause = f" {fit.search.sentence}" if fires.any() else ""
+    return (
+        f"What holds of this observer: {words[False] or 'nothing that was checked'}. What does "
+        f"not: {words[True] or 'nothing that was checked'}.{cause}"
+    )
 
 
 # -- the text ------------------------------------------------------------------------------------
@@ -153,8 +188,9 @@ def explanation(
         "All JNDs here are one sd (d' = 1), and are given over k times the whisker's length L.",
         _of_curve(numbers["jnd_curve"], draws),
         _of_surface(numbers["jnd_surface"]),
-        f"3. A real rat (rat_psychometric.png). {rat['data']['n_trials']} choices of one rat, "
-        f"sessions {rat['sessions'][0]} to {rat['sessions'][1]}: which of two sounds was louder, "
+        f"3. A real rat (rat_psychometric.png). {rat['holds']} {rat['data']['n_trials']} choices "
+        f"of one rat, sessions {rat['sessions'][0]} to {rat['sessions'][1]}: which of two sounds "
+        "was louder, "
         f"around {len(rat['data']['standards'])} standards. The stimulus column is a normalised "
         "logarithm of sound level whose unit is not published with it, so its Weber fraction "
         "cannot be put beside another, nor beside the k of the whisker above, which is an "
