@@ -303,7 +303,7 @@ def check_magnitude(hypotheses: Sequence[Hypothesis], magnitude: Magnitude) -> N
             raise Refusal(
                 f"the scheme's stimuli have log_unit={magnitude.log_unit}, and {h.name!r} encodes "
                 f"log_unit={log_unit}",
-                remedy="write encoding=magnitude.encoding",
+                remedy="give it the encoding of the scheme's magnitude",
             )
         unit = getattr(base, "unit", 1.0)
         if unit != 1.0:

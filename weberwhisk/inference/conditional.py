@@ -68,16 +68,11 @@ class Conditional:
 
         The same to the bit whatever other coordinates are evaluated with them.
         """
-        given = list(self.values[which].T)
+        observer, count, given = self.observer, len(x), list(self.values[which].T)
         if given and (which == which[0]).all():
             # Tables are summed in another order for one value: a last contact has values beside it.
             x, which = np.append(x, x[-1:], axis=0), np.append(which, which[-1:])
             given = [np.append(v, v[-1] * (1 + 1e-9) + 1e-300) for v in given]
-            return Evaluated(*(part[:-1] for part in self._evaluated(x, which, given)))
-        return self._evaluated(x, which, given)
-
-    def _evaluated(self, x: Array, which: Index, given: list[Array]) -> Evaluated:
-        observer = self.observer
         with np.errstate(all="ignore"):
             contact, log_prior = self._space(which).constrain(x, given)
             signals, outcome = observer.cue.signals(
@@ -88,7 +83,8 @@ class Conditional:
         with np.errstate(all="ignore"):
             scores = np.where(in_contact[:, None], observer.space.given_scores(contact), 0.0)
         signals = np.where(in_contact[:, None], signals, 0.0)
-        return Evaluated(contact, np.where(in_contact, log_prior, -np.inf), signals, scores)
+        log_prior = np.where(in_contact, log_prior, -np.inf)
+        return Evaluated(contact[:count], log_prior[:count], signals[:count], scores[:count])
 
     def contact_at(self, x: Array, which: Index) -> Array:
         """Contacts (N, U) at coordinates (N, U) and numbers (N,), with all that is given."""

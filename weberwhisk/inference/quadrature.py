@@ -59,9 +59,9 @@ def quadrature(
     done, room, size = 0, tree.MEMORY / 2, chunk_size(observer)
     while done < len(reading) or not solutions:
         begin, done = done, min(done + size, len(reading))
-        part = QuadratureSolution.of_chunk(observer, reading[begin:done], tolerance)
-        sums = part.kept[0]
-        assert sums is not None
+        chunk = reading[begin:done]
+        sums = sums_of(observer, chunk, tolerance=tolerance)
+        part = QuadratureSolution.of_chunk(observer, chunk, sums, tolerance)
         room -= sums.bytes
         if room <= 0:
             part.kept = [None]
@@ -120,9 +120,10 @@ class QuadratureSolution:
     kept: list[WeightedPosteriors | None]
 
     @classmethod
-    def of_chunk(cls, observer: Observer, readings: Array, tolerance: float) -> QuadratureSolution:
-        """The posteriors of readings that are summed together; impossible ones have no evidence."""
-        sums = sums_of(observer, readings, tolerance=tolerance)
+    def of_chunk(
+        cls, observer: Observer, readings: Array, sums: WeightedPosteriors, tolerance: float
+    ) -> QuadratureSolution:
+        """The posteriors of readings summed together; impossible ones have no evidence."""
         possible = ~np.isnan(sums.log_evidence)
         evidence = np.where(possible, sums.log_evidence, -np.inf)
         status = np.zeros(len(readings), dtype=np.int8)

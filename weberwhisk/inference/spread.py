@@ -11,7 +11,7 @@ import numpy as np
 from .._util import campaign
 from .._util.values import Array, pd
 from .observer import Observer
-from .quadrature import QuadratureSolution, chunk_size, refuse_too_many
+from .quadrature import QuadratureSolution, chunk_size, refuse_too_many, sums_of
 from .result import refuse_impossible
 from .tree import TOLERANCE
 
@@ -61,7 +61,8 @@ def solve_chunk(
 ) -> pd.DataFrame:
     """Moments, error, evidence and status of a chunk's readings, one a row."""
     readings = np.array(chunk["readings"], dtype=float)
-    part = QuadratureSolution.of_chunk(observer, readings, tolerance)
+    sums = sums_of(observer, readings, tolerance=tolerance)
+    part = QuadratureSolution.of_chunk(observer, readings, sums, tolerance)
     moments = {
         f"{name}_{i}": column
         for name, values in (("mean", part.mean), ("sd", part.sd))
