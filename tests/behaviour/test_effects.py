@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import ndtr
 
+from weberwhisk import Observer, Whisker
 from weberwhisk.behaviour import (
     FitStatus,
     IdentityEncoding,
     Trials,
+    compare,
     fit_weber,
     read_trials,
     simulate_trials,
@@ -40,6 +42,7 @@ from weberwhisk.behaviour.effects import (
 from weberwhisk.behaviour.encodings import NOISES, Encoding, Signals
 from weberwhisk.behaviour.likelihood import WeberModel, build_model
 from weberwhisk.behaviour.predictive import checks
+from weberwhisk.cues import Compliance
 
 Array = NDArray[np.float64]
 K, LOW, HIGH, BIAS = 0.12, 0.02, 0.03, 0.1
@@ -339,6 +342,8 @@ def test_sessions_of_a_known_case_differ_in_bias_and_k_stays() -> None:
     assert fit.log_evidence - plain.log_evidence == pytest.approx(11.6, abs=0.1)
     assert fit.weber_fraction == pytest.approx(0.120, abs=0.001)
     assert checks(fit)["p"].min() > 0.01
+    left_out = compare({"plain": plain, "sessions": fit}).table["elpd"]
+    assert 5 < left_out["sessions"] - left_out["plain"] < 40
     with pytest.raises(ValueError, match=r"states.*one bias for all sessions"):
         fit_weber(trials, effects=[SessionBias()], states=3)
 
@@ -370,6 +375,15 @@ def test_constant_noise_is_the_same_at_every_stimulus() -> None:
     assert at == pytest.approx(fits["constant"].threshold(1.0)["difference"].iloc[0])
     with pytest.raises(ValueError, match="noise grows with the stimulus"):
         fit_weber(trials, effects=[Exponent()], noise="constant")
+
+
+def test_constant_noise_of_distances_keeps_their_unit() -> None:
+    observer = Observer(Whisker.from_identity("C2"), Compliance())
+    given: dict[str, Any] = {"observer": observer, "noise": "constant"}
+    trials = simulate_trials(standards=[0.015, 0.02], trials_per_level=5, seed=1, **given)
+    fit = fit_weber(trials, **given)
+    assert fit.stimulus_unit == fit_weber(trials, observer=observer).stimulus_unit == "m"
+    assert "the same noise at every stimulus" in fit.methods()
 
 
 # -- the other tasks ------------------------------------------------------------------------------

@@ -169,7 +169,7 @@ def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
     chains = fit.posterior.chains
     draws = fit.posterior.draws()
     size = len(draws) // chains
-    p, q = model.probability(*draws.values)
+    p, q = model.expected(draws)
     both = np.log(np.stack([p, q], axis=1))[: size * chains]  # (D, 2, C)
     both = both.reshape(chains, size, -1)
     used = np.stack([model.cells.count, model.cells.n - model.cells.count]).ravel() > 0

@@ -16,7 +16,7 @@ from .._util.values import Array, Shown, counted, interval_text
 from . import psychometric as curve
 from .cue_encoding import CueEncoding, PooledEncoding
 from .effects import Effect
-from .encodings import Encoding, refuse_outside
+from .encodings import ConstantNoise, Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
 from .tasks import SignedChoice
@@ -105,9 +105,10 @@ class Estimates(Shown):
     @property
     def stimulus_unit(self) -> str:
         """Unit of the stimuli, where the encoding is of distances; else empty."""
-        if not isinstance(self.encoding, CueEncoding | PooledEncoding):
+        base = self.encoding.base if isinstance(self.encoding, ConstantNoise) else self.encoding
+        if not isinstance(base, CueEncoding | PooledEncoding):
             return ""
-        return {1e-3: "mm", 1.0: "m"}.get(self.encoding.unit, f"{self.encoding.unit:g} m")
+        return {1e-3: "mm", 1.0: "m"}.get(base.unit, f"{base.unit:g} m")
 
     @property
     def log_evidence(self) -> float | None:

@@ -52,6 +52,7 @@ def simulate(
     lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
     lapse_high: Annotated[float, "Share lost at the high end."] = 0.0,
     bias: Annotated[float, "Towards the second, in sds."] = 0.0,
+    noise: Annotated[str, "weber, equal-variance or constant."] = "weber",
     effect: Annotated[
         opt.Texts,
         "What else moves the answers, as in fit, with its parameter: history:0.5; may be repeated.",
@@ -103,8 +104,8 @@ def simulate(
     with Run(out, "simulate", inputs, seed) as run:
         design: dict[str, Any] = truth | {
             "standards": base, "offsets": levels, "encoding": encoding, "effects": effects,
-            "trials_per_level": trials_per_level, "order": order, "sessions": sessions,
-            "missing": missing, "task": task, "seed": seed,
+            "noise": noise, "trials_per_level": trials_per_level, "order": order,
+            "sessions": sessions, "missing": missing, "task": task, "seed": seed,
         }  # fmt: skip
         if subjects == 1:
             trials, animals = ww.simulate_trials(**design), None
@@ -133,7 +134,7 @@ def simulate(
                 free |= {"bias": bias} if trials.task.has_bias else {}
                 free |= by_name
                 exact = ww.fit_weber(
-                    trials, encoding=encoding, effects=[e for e, _ in effects],
+                    trials, encoding=encoding, noise=noise, effects=[e for e, _ in effects],
                     priors={"weber_fraction": weber_fraction, **free},
                 )  # fmt: skip
                 run.figure("trials", ww.plots.psychometrics(exact, unit=unit))
