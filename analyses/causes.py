@@ -94,18 +94,18 @@ def fitted(kind: Kind, size: int, seed: int) -> dict[str, Any]:
     fit = ww.fit_weber(trials)
     status = fit.status
     seconds = time.process_time() - start
-    search = fit.search
-    chosen = search.chosen if fit.unweighed.is_misfit else None
+    seen = fit.unweighed.is_misfit
+    # Of observers without a cause those are named that a check makes known.
+    best = fit.search.chosen if seen or kind.given else None
     known = ww.fit_weber(trials, **kind.fitted) if kind.fitted else fit
-    with_cause = fit if search.chosen is None else search.chosen.fit
-    names = set() if search.chosen is None else {c.name for c in search.chosen.causes}
+    with_cause = fit if best is None else best.fit
+    names = set() if best is None else {cause.name for cause in best.causes}
     return {
         "kind": kind.name, "trials": size, "seed": seed, "status": status.name,
-        "seen": fit.unweighed.is_misfit, "named": "" if chosen is None else chosen.name,
-        "found": " + ".join(sorted(names)), "first": search.table.index[0],
-        "right": _is_right(kind, names), "plain": fit.weber_fraction,
-        "with_cause": with_cause.weber_fraction, "known": known.weber_fraction,
-        "truth": kind.weber_fraction, "seconds": seconds,
+        "seen": seen, "named": best.name if seen and best is not None else "",
+        "found": " + ".join(sorted(names)), "right": _is_right(kind, names),
+        "plain": fit.weber_fraction, "with_cause": with_cause.weber_fraction,
+        "known": known.weber_fraction, "truth": kind.weber_fraction, "seconds": seconds,
     }  # fmt: skip
 
 

@@ -49,20 +49,20 @@ def residuals_by(fit: Estimates, *columns: str) -> pd.DataFrame:
     >>> residuals_by(fit, "session").columns.tolist()
     ['session', 'n', 'observed', 'expected', 'z']
     """
-    rows = Answers.of(fit)
+    answers = Answers.of(fit)
     if not columns:
         raise Refusal(
             "no column was named", remedy="write ww.behaviour.residuals_by(fit, 'session'), say"
         )
     for column in columns:
-        one_of("column", column, map(str, rows.frame.columns))
-    p = _expected(fit, rows).mean(axis=0)
-    table = rows.frame[list(columns)].assign(
-        n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
+        one_of("column", column, map(str, answers.frame.columns))
+    p = _expected(fit, answers).mean(axis=0)
+    table = answers.frame[list(columns)].assign(
+        n=answers.n, count=answers.count, mean=answers.n * p, variance=answers.n * p * (1 - p)
     )
     sums = table.groupby(list(columns), sort=True).sum().reset_index()
-    n, count, mean, spread = sums[["n", "count", "mean", "spread"]].to_numpy(float).T
-    return sums[list(columns)].assign(**compared(n, count, mean, spread))
+    n, count, mean, variance = sums[["n", "count", "mean", "variance"]].to_numpy(float).T
+    return sums[list(columns)].assign(**compared(n, count, mean, variance))
 
 
 def quantile_residuals(fit: Estimates, seed: int = 1) -> pd.DataFrame:
@@ -82,13 +82,13 @@ def quantile_residuals(fit: Estimates, seed: int = 1) -> pd.DataFrame:
     >>> bool(abs(table["z"].mean()) < 0.5)
     True
     """
-    rows = Answers.of(fit)
-    labels = [c for c in ("session", *STIMULI) if c in rows.frame]
-    table = rows.frame[labels].assign(cell=rows.cell, n=rows.n, count=rows.count)
+    answers = Answers.of(fit)
+    labels = [c for c in ("session", *STIMULI) if c in answers.frame]
+    table = answers.frame[labels].assign(cell=answers.cell, n=answers.n, count=answers.count)
     groups = table.groupby([*labels, "cell"], sort=True)
     gathered = groups[["n", "count"]].sum().reset_index().drop(columns="cell")
     group = groups.ngroup().to_numpy().astype(np.intp)
-    p = summed(_expected(fit, rows) * rows.n, group) / gathered["n"].to_numpy(float)
+    p = summed(_expected(fit, answers) * answers.n, group) / gathered["n"].to_numpy(float)
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
@@ -98,9 +98,9 @@ def quantile_residuals(fit: Estimates, seed: int = 1) -> pd.DataFrame:
     return gathered.assign(pit=pit, z=ndtri(pit))
 
 
-def _expected(fit: Estimates, rows: Answers) -> Array:
+def _expected(fit: Estimates, answers: Answers) -> Array:
     """P of every row at some draws, (D, R)."""
-    return fit.model.by_row(fit.posterior.draws().thinned(1000), rows.cell)[0]
+    return fit.model.by_row(fit.posterior.draws().thinned(1000), answers.cell)[0]
 
 
 #: What each misfit is seen by, the first that is there being the status where no cause is found.

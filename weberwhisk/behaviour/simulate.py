@@ -278,9 +278,9 @@ def responses(
     `trials` has NaN for an answer that the animal does not give. `uniform` decides the answers.
     """
     frame, task = trials.frame, trials.task
-    rows = frame[["stimulus_1", "stimulus_2", "standard"]].to_numpy(float)
+    shown = frame[["stimulus_1", "stimulus_2", "standard"]].to_numpy(float)
     silent = frame["count"].isna().to_numpy()
-    pairs, which = np.unique(rows, axis=0, return_inverse=True)
+    pairs, which = np.unique(shown, axis=0, return_inverse=True)
     which = which.reshape(-1)
     n = np.bincount(which, ~silent).astype(float)
     both = unit_encodings(encoding, pairs[:, 0], pairs[:, 1], pairs[:, 2], noise)
@@ -403,13 +403,13 @@ def simulate_population(
     sessions = checks.whole("sessions", sessions, "write 10, say")
     checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
     wander = ndtri(np.clip(rng.random((len(truth), sessions)), 1e-12, 1 - 1e-12))
-    parts = []
+    tables = []
     for i, row in enumerate(truth.to_dict("records")):
         animal = {str(name): value for name, value in row.items()}
         k = animal.pop("weber_fraction") * np.exp(session_spread * wander[i])
         how = {"sessions": sessions, "seed": rng, **animal, **design}
-        parts.append(simulate_trials(weber_fraction=k if session_spread else k[:1], **how))
-    return joined(parts), truth
+        tables.append(simulate_trials(weber_fraction=k if session_spread else k[:1], **how))
+    return joined(tables), truth
 
 
 def draw_animals(
