@@ -32,7 +32,7 @@ import weberwhisk as ww
 from .._util import checks
 from .._util.output import Run, to_json
 from .._util.output import shown as progress_shown
-from .._util.refusals import Advice, Call, Named, Refusal, Typed, rendered
+from .._util.refusals import Advice, Call, Named, Refusal, Remedy, Typed, rendered
 from .._util.values import Array, pd
 
 __all__ = [
@@ -222,7 +222,7 @@ def _options(piece: Typed) -> list[str] | None:
     """The options of a piece of advice, None where it has none."""
     if isinstance(piece, Call):
         inner = [p for text in piece.arguments if isinstance(text, Advice) for p in text.pieces]
-        options = [_options(p) for p in inner if not isinstance(p, str)]
+        options = [_options(p) for p in inner if not isinstance(p, str | Remedy)]
         return None if None in options else [o for each in options if each for o in each] or None
     of = getattr(piece, "of", "")
     spelled = SPELLED.get(f"{of}.{piece.name}" if of else piece.name, Spelled(piece.name))
