@@ -190,12 +190,17 @@ class Spelled(NamedTuple):
     values: Callable[[Any], str | list[str] | None] = _plain
 
 
+def _effects(effects: Any) -> list[str]:
+    """Effects by their names, formulas as they are, each once."""
+    return [*dict.fromkeys(quote(getattr(effect, "by_name", effect)) for effect in effects)]
+
+
 #: Parameters of the package whose options have another name, or other values.
 SPELLED = {
     "columns": Spelled("column", _pairs),
     "units": Spelled("unit", _pairs),
     "choice_labels": Spelled("label", _pairs),
-    "effects": Spelled("effect", lambda all_: [*dict.fromkeys(quote(e.by_name) for e in all_)]),
+    "effects": Spelled("effect", _effects),
     "priors": Spelled("lapse_prior", _lapse_prior),
     "curvature": Spelled("curvature_per_m"),
     "curved": Spelled("curvature_per_m", lambda curved: "own" if curved else "0"),

@@ -43,9 +43,9 @@ from .magnitude import Magnitude
 from .power_analysis import share_in_words
 from .rivals import FlooredNoise
 from .scheme import Constraints, Scheme
-from .session import sessions_needed, trial_lists
+from .session import sessions_needed, trial_lists, with_places
 
-__all__ = ["AnalysisResult", "Plan", "analyse"]
+__all__ = ["AnalysisResult", "Plan", "analyse", "sha256_of"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,6 +250,11 @@ def analyse(
     return (_pooled if together else _each_animal)(trials, given, check)
 
 
+def sha256_of(table: pd.DataFrame) -> str:
+    """SHA-256 of a table as a CSV file."""
+    return hashlib.sha256(csv_text(table).encode()).hexdigest()
+
+
 def _rounded_pairs(first: Any, second: Any, n: Any = 1) -> list[tuple[str, str]]:
     """Pairs of stimuli as they are written, each so many times."""
     counts = np.broadcast_to(np.asarray(n, dtype=int), np.shape(first))
@@ -423,7 +428,7 @@ class Plan(Shown):
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the trial lists, as they are written."""
-        return hashlib.sha256(csv_text(self.trials).encode()).hexdigest()
+        return sha256_of(with_places(self.trials, self.hypotheses[0].task))
 
     @cached_property
     def expected_trials(self) -> Trials:

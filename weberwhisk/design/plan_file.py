@@ -30,7 +30,7 @@ from ..whisker import Whisker
 from .goals import Contrast, Evidence, Goal, Precision
 from .hypotheses import ONE_STIMULUS, Hypothesis, SubjectPopulation
 from .magnitude import Magnitude
-from .plan import Plan
+from .plan import Plan, sha256_of
 from .rivals import FlooredNoise, PowerNoise
 from .scheme import Constraints, Scheme
 from .session import KEYS, PLACES
@@ -288,7 +288,8 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     try:
         plan: Plan = _reader().structure(record.get("plan"), Plan)
         object.__setattr__(plan, "power", _table(record.get("power")))
-        now = plan.fingerprint  # lays out the lists, which may be impossible
+        # Lays out the lists, which may be impossible; those of version 2 had no `standard_is`.
+        now = plan.fingerprint if version == VERSION else sha256_of(plan.trials)
         for hypothesis in plan.hypotheses:
             with np.errstate(all="ignore"):
                 seen = hypothesis.model(plan.scheme).encoded(np.ones(1))
