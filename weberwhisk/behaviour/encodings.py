@@ -21,7 +21,8 @@ from .cue_encoding import CueEncoding, PooledEncoding
 
 __all__ = [
     "NOISES", "ConstantNoise", "Encoding", "IdentityEncoding", "LogAxisEncoding", "LogEncoding",
-    "Signals", "UnitEncodings", "checked_encoding", "chosen_encoding", "condensed", "described",
+    "ReplacedNoise", "Signals", "UnitEncodings", "checked_encoding", "chosen_encoding",
+    "condensed", "described",
     "encoding_for", "gives_signal", "in_words", "nodes_of", "refuse_out_of_reach",
     "refuse_outside", "refuse_unencoded", "unit_encodings", "with_noise",
 ]  # fmt: skip
@@ -126,19 +127,10 @@ class LogAxisEncoding(LogEncoding, Fields):
 
 
 @dataclass(frozen=True)
-class ConstantNoise:
-    """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
-
-    `typical` is a signal of middling strength, so that k remains a fraction.
-
-    Examples
-    --------
-    >>> ConstantNoise(IdentityEncoding(), 2.0).sd_per_weber_fraction([1.0, 4.0])
-    array([2., 2.])
-    """
+class ReplacedNoise:
+    """An encoding with the signals of `base`, and another noise."""
 
     base: Encoding
-    typical: float
 
     @property
     def direction(self) -> int:
@@ -150,6 +142,21 @@ class ConstantNoise:
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return self.base.mean(stimulus)
+
+
+@dataclass(frozen=True)
+class ConstantNoise(ReplacedNoise):
+    """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
+
+    `typical` is a signal of middling strength, so that k remains a fraction.
+
+    Examples
+    --------
+    >>> ConstantNoise(IdentityEncoding(), 2.0).sd_per_weber_fraction([1.0, 4.0])
+    array([2., 2.])
+    """
+
+    typical: float
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return np.full(np.shape(stimulus), self.typical)

@@ -14,6 +14,7 @@ from .._util.values import Array, plain_number
 from ..behaviour.encodings import (
     ConstantNoise,
     Encoding,
+    ReplacedNoise,
     checked_encoding,
     described,
     refuse_out_of_reach,
@@ -22,12 +23,12 @@ from .hypotheses import Hypothesis
 
 __all__ = ["RIVALS", "FlooredNoise", "PowerNoise", "rivals"]
 
-#: Rivals by name, with the number that they have by default.
+#: Rivals by name.
 RIVALS = ("constant", "exponent", "floor")
 
 
 @dataclass(frozen=True)
-class PowerNoise:
+class PowerNoise(ReplacedNoise):
     """An encoding whose noise is a power of that of Weber's law: sd = k t (s/t)^exponent.
 
     s is the sd of the base encoding for a Weber fraction of 1, `typical` t is a middling one, so
@@ -40,20 +41,8 @@ class PowerNoise:
     array([2., 4.])
     """
 
-    base: Encoding
     typical: float
     exponent: float
-
-    @property
-    def direction(self) -> int:
-        return self.base.direction
-
-    @property
-    def domain(self) -> tuple[float, float]:
-        return self.base.domain
-
-    def mean(self, stimulus: ArrayLike) -> Array:
-        return self.base.mean(stimulus)
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         sd = self.base.sd_per_weber_fraction(stimulus) / self.typical
@@ -69,7 +58,7 @@ class PowerNoise:
 
 
 @dataclass(frozen=True)
-class FlooredNoise:
+class FlooredNoise(ReplacedNoise):
     """An encoding with Weber noise and a floor: sd² = (k s)² + floor², in the signal's unit.
 
     Examples
@@ -79,19 +68,7 @@ class FlooredNoise:
     array([0.2, 0.2])
     """
 
-    base: Encoding
     floor: float
-
-    @property
-    def direction(self) -> int:
-        return self.base.direction
-
-    @property
-    def domain(self) -> tuple[float, float]:
-        return self.base.domain
-
-    def mean(self, stimulus: ArrayLike) -> Array:
-        return self.base.mean(stimulus)
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return self.base.sd_per_weber_fraction(stimulus)
