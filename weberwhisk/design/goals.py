@@ -28,7 +28,8 @@ __all__ = ["Contrast", "Evidence", "Goal", "Precision", "goal_for"]
 class Goal(Fields, ABC):
     """What an experiment is to reach, and in what share of its repetitions.
 
-    `Precision` is about the interval of the Weber fraction, `Evidence` about a Bayes factor.
+    `Precision` is about the interval of the Weber fraction, `Contrast` about that of a ratio of
+    two, `Evidence` about a Bayes factor.
     """
 
     share: float
@@ -131,8 +132,27 @@ class Goal(Fields, ABC):
         return f"in {100 * self.share:.3g} % of experiments"
 
 
+class IntervalGoal(Goal):
+    """A goal about the width of an interval of the first hypothesis."""
+
+    column: ClassVar[str] = "half_width"
+
+    def check(self, hypotheses: Sequence[Hypothesis]) -> None:
+        """An interval of a Weber fraction that is given has no width, and no trials to wait for."""
+        refuse_given_k(hypotheses, f"the goal is {self}")
+
+    def truths(self, hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
+        return hypotheses[:1]
+
+    def compared(self, hypotheses: Sequence[Hypothesis], truth: Hypothesis) -> Sequence[Hypothesis]:
+        return (truth,)
+
+    def score(self, log_bayes_factor: Array, half_width: Array) -> Array:
+        return -half_width
+
+
 @dataclass(frozen=True, repr=False)
-class Precision(Goal):
+class Precision(IntervalGoal):
     """An interval of the Weber fraction that is narrow enough.
 
     Parameters
@@ -148,7 +168,6 @@ class Precision(Goal):
     a 95 % interval of k narrower than ±20 % in 80 % of experiments
     """
 
-    column: ClassVar[str] = "half_width"
     questions: ClassVar[tuple[str, ...]] = ("precision",)
     half_width: float
     share: float = 0.8
@@ -163,19 +182,6 @@ class Precision(Goal):
     @property
     def threshold(self) -> float:
         return self.half_width
-
-    def check(self, hypotheses: Sequence[Hypothesis]) -> None:
-        """An interval of a Weber fraction that is given has no width, and no trials to wait for."""
-        refuse_given_k(hypotheses, f"the goal is {self}")
-
-    def truths(self, hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
-        return hypotheses[:1]
-
-    def compared(self, hypotheses: Sequence[Hypothesis], truth: Hypothesis) -> Sequence[Hypothesis]:
-        return (truth,)
-
-    def score(self, log_bayes_factor: Array, half_width: Array) -> Array:
-        return -half_width
 
     def is_reached(self, runs: pd.DataFrame) -> pd.Series:
         return runs["reached"] if "reached" in runs else runs["half_width"] < self.half_width
@@ -324,7 +330,7 @@ class Evidence(Goal):
 
 
 @dataclass(frozen=True, repr=False)
-class Contrast(Goal):
+class Contrast(IntervalGoal):
     """Two conditions told apart: the interval of the ratio of their Weber fractions leaves out 1.
 
     Parameters
@@ -340,7 +346,6 @@ class Contrast(Goal):
     a 95 % interval of the ratio of k that leaves out 1, where it is 1.3, in 80 % of experiments
     """
 
-    column: ClassVar[str] = "half_width"
     questions: ClassVar[tuple[str, ...]] = ("conditions",)
     quantity: ClassVar[str] = "the ratio of k"
     ratio: float
@@ -362,18 +367,6 @@ class Contrast(Goal):
     def threshold(self) -> float:
         """The half-width of an interval that just leaves out 1."""
         return abs(1 - 1 / self.ratio)
-
-    def check(self, hypotheses: Sequence[Hypothesis]) -> None:
-        refuse_given_k(hypotheses, f"the goal is {self}")
-
-    def truths(self, hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
-        return hypotheses[:1]
-
-    def compared(self, hypotheses: Sequence[Hypothesis], truth: Hypothesis) -> Sequence[Hypothesis]:
-        return (truth,)
-
-    def score(self, log_bayes_factor: Array, half_width: Array) -> Array:
-        return -half_width
 
     def is_reached(self, runs: pd.DataFrame) -> pd.Series:
         return runs["lower"] > 1 if self.ratio > 1 else runs["upper"] < 1
