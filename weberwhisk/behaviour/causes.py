@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .._util.refusals import Refusal
 from .._util.values import interval_text
 from .effects import (
     BiasDrift,
@@ -30,6 +29,7 @@ from .effects import (
     SessionBias,
     StandardSecond,
     WinStay,
+    is_possible,
 )
 from .estimates import Estimates
 from .importance import ImportancePosterior, Target
@@ -91,15 +91,14 @@ def possible_causes(fit: Estimates) -> list[Cause]:
     """The causes that the table can show, of those that are not in the model."""
     model, trials = fit.model, fit.trials
     causes = []
+    given = trials, fit.encoding, model.encodings, model.cells.n
     for effect, words, status in _OF_EFFECTS:
-        try:
-            column = effect.column(trials, fit.encoding)
-            effect.bound(model.encodings, model.cells.n)
-        except Refusal:
+        if effect.name in fit.effects or not is_possible(effect, *given):
             continue
+        column = effect.column(trials, fit.encoding)
         flat = column is not None and np.ptp(column[trials.answered]) == 0
         flat = flat or (isinstance(effect, Contraction) and np.ptp(model.cells.stimulus_1) == 0)
-        if effect.name not in fit.effects and not flat:
+        if not flat:
             causes.append(Cause(effect.name, words, status, effects=(effect,)))
     if "exponent" in {cause.name for cause in causes} and fit.noise == "weber":
         words = "the same noise at every stimulus"
@@ -144,11 +143,9 @@ def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) ->
     if n_states > 1:
         fitted = with_states(model, fit.trials, encoding, n_states)
         assert isinstance(fitted, StateModel)
-        chain = StateTarget(fitted)
-        posterior = StatePosterior(chain, chain.weighted(**accuracy))
+        posterior = StatePosterior.sampled(StateTarget(fitted), **accuracy)
     elif effects:
-        target = Target(model.merged())
-        posterior = ImportancePosterior(target, target.weighted(**accuracy))
+        posterior = ImportancePosterior.sampled(Target(model.merged()), **accuracy)
     else:
         posterior = QuadraturePosterior.integrated(model.merged())
     method = "importance" if effects or n_states > 1 else "quadrature"

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._util.refusals import Refusal
 from .._util.values import Array
-from .effects import Contraction, Drift, Effect, Exponent, NoiseByOrder, StandardSecond
+from .effects import Contraction, Drift, Effect, Exponent, NoiseByOrder, StandardSecond, is_possible
 from .estimates import Estimates
 from .likelihood import build_model, gather
 
@@ -29,15 +28,8 @@ def directions(fit: Estimates) -> dict[str, Array]:
     model, trials = fit.model, fit.trials
     if model.n_states > 1 or "weber_fraction" not in model.names:
         return {}
-    effects = []
-    for effect in LOOKED_FOR:
-        try:
-            effect.column(trials, fit.encoding)
-            effect.bound(model.encodings, model.cells.n)
-        except Refusal:
-            continue
-        if effect.name not in fit.effects:
-            effects.append(effect)
+    given = trials, fit.encoding, model.encodings, model.cells.n
+    effects = [e for e in LOOKED_FOR if e.name not in fit.effects and is_possible(e, *given)]
     if not effects:
         return {}
     whole = (*model.effects, *effects)

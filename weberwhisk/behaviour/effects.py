@@ -26,6 +26,7 @@ __all__ = [
     "EFFECTS", "BiasDrift", "Contraction", "Covariate", "Drift", "Effect", "Exponent", "Floor",
     "History", "NoiseByOrder", "Overdispersion", "SessionBias", "StandardSecond", "TrialBefore",
     "WinStay", "check_effects", "check_valued", "effect_named", "effect_valued", "is_formula",
+    "is_possible",
 ]  # fmt: skip
 
 
@@ -205,9 +206,13 @@ class Exponent(Effect, Fields):
         typical = _typical(encodings, "An exponent of the noise")
         return self if self.typical is not None else replace(self, typical=typical)
 
+    def relative(self, mean: Array | float) -> Array:
+        """Signals over the typical one."""
+        return np.abs(mean) / (1.0 if self.typical is None else self.typical)
+
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        power, typical = np.asarray(value) - 1, 1.0 if self.typical is None else self.typical
-        of_1, of_2 = (np.abs(m) / typical for m in (signals.shown_1, signals.shown_2))
+        power = np.asarray(value) - 1
+        of_1, of_2 = (self.relative(mean) for mean in (signals.shown_1, signals.shown_2))
         return signals._replace(sd_1=signals.sd_1 * of_1**power, sd_2=signals.sd_2 * of_2**power)
 
 
@@ -282,6 +287,18 @@ class StandardSecond(Effect, Fields):
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         factor = np.exp(value * column)
         return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
+
+
+def is_possible(
+    effect: Effect, trials: Trials, encoding: Encoding, encodings: UnitEncodings, n: Array
+) -> bool:
+    """Whether a table, with its pairs of stimuli and their trials, can show an effect."""
+    try:
+        effect.column(trials, encoding)
+        effect.bound(encodings, n)
+    except Refusal:
+        return False
+    return True
 
 
 def _typical(encodings: UnitEncodings, what: str) -> float:

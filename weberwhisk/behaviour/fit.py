@@ -311,8 +311,7 @@ def fit_weber(
                 "leave " + named("method") + " out",
             )
         chain = with_states(model, trials, encoded, states)
-        target = StateTarget(chain)
-        of_states = StatePosterior(target, target.weighted(), int(rng.integers(2**63)))
+        of_states = StatePosterior.sampled(StateTarget(chain), int(rng.integers(2**63)))
         return StateFit(trials, chain, encoded, noise, chosen, used, of_states)
     if used == "quadrature" and model.effects:
         raise Refusal(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,9 +102,11 @@ class ImportancePosterior(Fields):
     chains: int = 4
 
     @classmethod
-    def sampled(cls, target: Target, seed: int = 0) -> ImportancePosterior:
-        """The posterior of a target."""
-        return cls(target, target.weighted(), seed)
+    def sampled(
+        cls, target: Target, seed: int = 0, *, effective: float = EFFECTIVE, size: int = PASS
+    ) -> Self:
+        """The posterior of a target, by draws worth so many independent ones."""
+        return cls(target, target.weighted(effective, size), seed)
 
     def recomputed(self, model: WeberModel) -> ImportancePosterior | None:
         return ImportancePosterior.sampled(Target(model))

@@ -19,8 +19,9 @@ from .._util.campaign import one_blas_thread
 from .._util.output import plain
 from .._util.refusals import Refusal, argument
 from .._util.values import Array, Line, interval_text
-from .effects import Contraction, Effect, Exponent, Floor
-from .encodings import LogAxisEncoding, Signals, UnitEncodings
+from .criticism import UNCHECKED
+from .effects import Contraction, Effect, Exponent, Floor, is_possible
+from .encodings import LogAxisEncoding, UnitEncodings
 from .estimates import Estimates, check_fit
 from .fit import WeberFit, fit_weber
 from .quadrature import QuadraturePosterior
@@ -69,9 +70,7 @@ class WeberLawTest(Line):
     @property
     def verdict(self) -> str:
         """What the evidence says, or that it says nothing."""
-        if self.status.name.startswith("MISFIT") or self.status in (
-            FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NOT_CONVERGED,
-        ):  # fmt: skip
+        if self.status.is_misfit or self.status in UNCHECKED:
             return (
                 "nothing can be said of Weber's law, as the model does not hold "
                 f"({self.status.name})"
@@ -186,12 +185,8 @@ class _ExponentOfLevel(Exponent):
     def bound(self, encodings: UnitEncodings, n: Array) -> Exponent:
         return replace(self, typical=float(np.r_[encodings.mean_1, encodings.mean_2].mean()))
 
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        slope = (np.asarray(value) - 1) * self.log_unit
-        shown = signals.shown_1, signals.shown_2
-        middle = 0.0 if self.typical is None else self.typical
-        more_1, more_2 = (np.exp(slope * (mean - middle)) for mean in shown)
-        return signals._replace(sd_1=signals.sd_1 * more_1, sd_2=signals.sd_2 * more_2)
+    def relative(self, mean: Array | float) -> Array:
+        return np.exp(self.log_unit * (np.asarray(mean) - (self.typical or 0.0)))
 
 
 def _departures(fit: Estimates) -> dict[str, list[Effect]]:
@@ -210,12 +205,13 @@ def _observers(fit: Estimates) -> dict[str, tuple[str, list[Effect]]]:
     if fit.bias == "none" or not fit.model.free_bias:
         return {fit.bias: (fit.bias, [])}
     observers: dict[str, tuple[str, list[Effect]]] = {"bias per standard": ("per standard", [])}
-    if fit.trials.task.bias_name == "bias" and "contraction" not in fit.effects:
-        try:
-            Contraction().column(fit.trials, fit.encoding)
-        except Refusal:
-            return observers
-        observers["contraction"] = ("shared", [Contraction()])
+    contraction, given = Contraction(), (fit.trials, fit.encoding, fit.model.encodings)
+    if (
+        fit.trials.task.bias_name == "bias"
+        and contraction.name not in fit.effects
+        and is_possible(contraction, *given, fit.model.cells.n)
+    ):
+        observers["contraction"] = ("shared", [contraction])
     return observers
 
 
