@@ -142,7 +142,7 @@ DATASETS: dict[str, dict[str, Any]] = {
         "title": "Trouble: the animal learns, its Weber fraction falls sevenfold in ten sessions",
         "unit": "gram",
         "seed": 20110172,
-        "status": "MISFIT_STREAKS",
+        "status": "DETERMINED",
         "truth": {
             "weber_fraction": 0.15,
             "drift": -2.0,

@@ -52,6 +52,12 @@ def test_the_drifting_animal_is_found_out() -> None:
     fit = fit_weber(trials, effects=[Drift()])
     low, high = fit.interval(0.995, parameter="drift")
     assert low < CHOICES[NAMES.index("trouble_drift")]["truth"]["drift"] < high < 0
+    # Without the effect checks see a misfit, both of its causes are found, and k stays.
+    plain = fit_weber(trials)
+    assert plain.unweighed is FitStatus.MISFIT_STREAKS
+    assert plain.search.chosen is not None
+    assert plain.search.chosen.name == "drift + bias_drift"
+    assert not plain.search.matters
 
 
 @pytest.mark.parametrize("entry", PACKAGE["resources"], ids=lambda entry: entry["name"])
