@@ -170,6 +170,8 @@ def test_fit_takes_some_trials_and_leaves_others_out(
     )
     assert fitted("--without", "day=1-3") == (table["day"] == 4).sum()
     for option in ("--only", "--without"):
+        said = refused(capsys, "fit", file, option, "blok=practice")
+        assert "the column 'blok' is unknown (did you mean 'block'?)" in said
         assert "block has 'a', 'b'" in refused(capsys, "fit", file, option, "block=practce")
         assert "did you mean 'block'?" in refused(capsys, "fit", file, option, "blok=a")
         assert f"{option} takes a pair such as block=practice" in refused(

@@ -158,7 +158,7 @@ def test_a_plan_of_version_2_is_of_distances() -> None:
     ("options", "sentence"),
     [
         (["--magnitude", "duration"], "durations that are compared with are needed, got none; "
-         "write --standards"),
+         "write --standards 300,600,1200, say."),
         (["--unit", "ms"], "--unit is of a --magnitude"),
         (["--standards", "3"], "--standards are those of a --magnitude"),
         (["--magnitude", "duration", "--identity", "C2"], "durations or of distances along"),

@@ -276,7 +276,7 @@ class Trials(Line):
 
     def _places(self, column: str, values: Iterable[Any]) -> Index:
         """The rows in which a column has any of these values."""
-        checks.one_of("column", column, map(str, self.frame.columns))
+        checks.one_of("the column", column, map(str, self.frame.columns))
         gathered = self._gathered(column)
         of_each = [gathered[v] for v in dict.fromkeys(values) if v in gathered]
         return np.sort(np.concatenate(of_each)) if of_each else np.zeros(0, dtype=np.intp)

@@ -164,6 +164,8 @@ _SHARED: dict[str, Any] = {
 
 def _plain(value: Any) -> str:
     """The value of an option; none where only the user knows it, or where it is a flag."""
+    if isinstance(value, list | tuple):
+        return quote(",".join(f"{one:g}" if isinstance(one, float) else str(one) for one in value))
     return "" if value is ... or value is True else quote(str(value))
 
 
