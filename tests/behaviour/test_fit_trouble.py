@@ -248,9 +248,12 @@ def test_the_rat_is_not_always_engaged() -> None:
     assert one.log_evidence is not None
     assert three.log_evidence is not None
     assert three.log_evidence > one.log_evidence + 10
-    # States leave what wins and losses do, and a bias that drifts.
+    # States leave a bias that drifts, and with it what wins and losses do.
     assert three.status.is_misfit
-    assert "WinStay()" in three.report()
+    assert three.search.chosen is not None
+    assert three.search.chosen.name == "bias_drift"
+    assert three.search.chosen.fit.status.is_misfit
+    assert "The answers show a bias that drifts over the trials" in three.report()
 
 
 def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
