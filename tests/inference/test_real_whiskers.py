@@ -423,6 +423,9 @@ def test_whatever_takes_a_named_whisker_as_straight_says_so():
     text = methods_paragraph(located)
     assert "write" not in text  # nor what to write for another model
     assert "its curvature has a normal prior of mean 0 and sd 17 /m" in text
+    given = replace(plain, curvature=0.0)  # what the note says to write, and no note after it
+    assert Observer(given, ForceMap()).note == ""
+    assert not any("is taken as" in note for note in ww.locate(table, given).attrs["notes"])
     curved = Whisker.from_identity("C2", curved=True)
     assert not any("straight" in note for note in ww.locate(table, curved).attrs["notes"])
     for rows in (table, table * [-1, 1]):  # also where all of them are mirrored

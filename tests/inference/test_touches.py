@@ -9,7 +9,7 @@ from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.inference import default_noise
-from weberwhisk.inference.result import distance_prior
+from weberwhisk.inference.observer import distance_prior
 from weberwhisk.inference.touches import touches
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.receptors import LogNormal, Weber

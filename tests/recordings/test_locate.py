@@ -16,8 +16,8 @@ import pytest
 import weberwhisk as ww
 from weberwhisk import recordings
 from weberwhisk.cli import app, run_app
+from weberwhisk.inference.observer import distance_prior
 from weberwhisk.inference.one_distance import ReadingGroup, one_distance
-from weberwhisk.inference.result import distance_prior
 from weberwhisk.recordings.columns import find_columns
 from weberwhisk.recordings.mixture import SPANS
 

@@ -24,6 +24,7 @@ from ..whisker import Whisker
 from .coordinates import (
     ContactCoordinates,
     family,
+    from_normal,
     is_all_around,
     priors_of,
     to_normal,
@@ -31,7 +32,7 @@ from .coordinates import (
 )
 from .floors import check_noise, default_noise, usual_contacts
 
-__all__ = ["Observer"]
+__all__ = ["Observer", "distance_prior", "held_prior"]
 
 
 class _Filled(NamedTuple):
@@ -237,8 +238,8 @@ class Observer(Fields):
         A shape at rest that moves the distance by more than a JND (to first order, of 16 contacts
         in the middle of the reach, and of 36 up to its ends where these say less): of whiskers
         `from_identity` their measured one, taken as straight or, if curved, as an arc; of others
-        without a `curvature` the rat's usual one, unless it is given as 0. And a table of signals
-        that is off by more than a hundredth of a Weber fraction.
+        without a `curvature` the rat's usual one. A curvature that is given, 0 too, is the
+        whisker's. And a table of signals that is off by more than a hundredth of a Weber fraction.
 
         Examples
         --------
@@ -427,3 +428,49 @@ class Observer(Fields):
                 "put them along the last axis",
             )
         return array
+
+
+def distance_prior(observer: Observer, r: ArrayLike) -> Array:
+    """Prior density of the radial distance r (...), m, up to a factor; 0 outside the reach.
+
+    The prior of the contact with all else integrated out: where the deflection angle is
+    unknown and its prior flat, the range of angles that the whisker holds at that distance.
+    """
+    r = np.asarray(r, dtype=float)
+    low, high = observer.reach
+    inside = (r > low) & (r < high)
+    place = np.where(inside, r, (low + high) / 2)
+    density = held_prior(observer, place)
+    if "radial_distance" in observer.prior:
+        density = density * observer.prior["radial_distance"].pdf(place)
+    return np.where(inside, density, 0.0)
+
+
+def held_prior(observer: Observer, r: Array, given: float | None = None) -> Array:
+    """The prior of all angles that are held at distances (...) inside the reach, up to a factor.
+
+    The mean over unknowns that have priors alone, but for friction at the value `given`, if any.
+    """
+    if observer.bounded == 1 and not observer.space.reach_varies:
+        return np.ones(r.shape)
+    names = observer.unknowns[observer.bounded :]
+    free = [name for name in names if given is None or name == "friction_angle"]
+    free = free if observer.space.reach_varies else []
+    z = np.linspace(-4.8, 4.8, 25) if len(free) == 1 else np.linspace(-3.0, 3.0, 5)
+    scores = np.stack([a.ravel() for a in np.meshgrid(*[z] * len(free))] or [np.zeros(1)])
+    contact = np.ones((*r.shape, scores.shape[1], len(observer.unknowns)))
+    contact[..., 0] = r[..., None]
+    for i, name in enumerate(names, observer.bounded):
+        prior = observer.prior[name]
+        fixed = from_normal(prior, np.zeros(1)) if given is None else given
+        varies = name in free
+        contact[..., i] = from_normal(prior, scores[free.index(name)]) if varies else fixed
+    if observer.bounded > 1:
+        least, allowed = observer.space.angle_range(contact[..., 0], contact)
+        if "deflection_angle" in observer.prior:
+            angle = observer.prior["deflection_angle"]
+            allowed = angle.cdf(least + allowed) - angle.cdf(least)
+    else:
+        allowed = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
+    weight = np.exp(-0.5 * np.square(scores).sum(axis=0))
+    return np.asarray(allowed @ weight / weight.sum())

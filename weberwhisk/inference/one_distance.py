@@ -24,8 +24,7 @@ from .coordinates import constrain_distance
 from .descent import cell_sums
 from .layers import SCORES, LayeredSums
 from .nodes import HALVINGS, Axis, Layers
-from .observer import Observer
-from .result import held_prior
+from .observer import Observer, held_prior
 from .tree import DROP, TOLERANCE, tree_of
 from .weighted import CellSums, Marginals, mixed
 

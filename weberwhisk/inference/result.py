@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import domain
 from .._util.checks import between, finite, one_of, whole
@@ -20,13 +20,12 @@ from .._util.sampling import ArvizData, integers, to_arviz
 from .._util.values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
-from .coordinates import UNITS, ContactCoordinates, from_normal, signal_unit
+from .coordinates import UNITS, ContactCoordinates, signal_unit
 from .observer import Observer
 
 __all__ = [
     "AtReadings", "Estimate", "Posterior", "Solution", "Status", "beyond_reach", "contact_slope",
-    "distance_prior", "held_prior", "is_improbable", "is_outside", "is_unidentified",
-    "refuse_impossible",
+    "is_improbable", "is_outside", "is_unidentified", "refuse_impossible",
 ]  # fmt: skip
 
 
@@ -425,52 +424,6 @@ def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:
     """Readings (B, R) with a number more than 5 sd from their signals (B, S)."""
     low, high = noise.interval(signals, 5.0)
     return np.any((reading < low) | (reading > high), axis=-1)
-
-
-def distance_prior(observer: Observer, r: ArrayLike) -> Array:
-    """Prior density of the radial distance r (...), m, up to a factor; 0 outside the reach.
-
-    The prior of the contact with all else integrated out: where the deflection angle is
-    unknown and its prior flat, the range of angles that the whisker holds at that distance.
-    """
-    r = np.asarray(r, dtype=float)
-    low, high = observer.reach
-    inside = (r > low) & (r < high)
-    place = np.where(inside, r, (low + high) / 2)
-    density = held_prior(observer, place)
-    if "radial_distance" in observer.prior:
-        density = density * observer.prior["radial_distance"].pdf(place)
-    return np.where(inside, density, 0.0)
-
-
-def held_prior(observer: Observer, r: Array, given: float | None = None) -> Array:
-    """The prior of all angles that are held at distances (...) inside the reach, up to a factor.
-
-    The mean over unknowns that have priors alone, but for friction at the value `given`, if any.
-    """
-    if observer.bounded == 1 and not observer.space.reach_varies:
-        return np.ones(r.shape)
-    names = observer.unknowns[observer.bounded :]
-    free = [name for name in names if given is None or name == "friction_angle"]
-    free = free if observer.space.reach_varies else []
-    z = np.linspace(-4.8, 4.8, 25) if len(free) == 1 else np.linspace(-3.0, 3.0, 5)
-    scores = np.stack([a.ravel() for a in np.meshgrid(*[z] * len(free))] or [np.zeros(1)])
-    contact = np.ones((*r.shape, scores.shape[1], len(observer.unknowns)))
-    contact[..., 0] = r[..., None]
-    for i, name in enumerate(names, observer.bounded):
-        prior = observer.prior[name]
-        fixed = from_normal(prior, np.zeros(1)) if given is None else given
-        varies = name in free
-        contact[..., i] = from_normal(prior, scores[free.index(name)]) if varies else fixed
-    if observer.bounded > 1:
-        least, allowed = observer.space.angle_range(contact[..., 0], contact)
-        if "deflection_angle" in observer.prior:
-            angle = observer.prior["deflection_angle"]
-            allowed = angle.cdf(least + allowed) - angle.cdf(least)
-    else:
-        allowed = (observer.signals(contact)[1] == Outcome.HELD).astype(float)
-    weight = np.exp(-0.5 * np.square(scores).sum(axis=0))
-    return np.asarray(allowed @ weight / weight.sum())
 
 
 def contact_slope(space: ContactCoordinates, x: Array) -> Array:

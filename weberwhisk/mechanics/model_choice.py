@@ -304,7 +304,8 @@ def _shape_at_rest(observer: Any) -> str:
     whisker = getattr(observer.whisker, "whisker", observer.whisker)
     named = whisker.identity
     straight = observer.whisker is whisker and not np.any(whisker.curvature)
-    if named is not None and straight and not _takes_curved(observer):
+    assumed = straight and usual_curvature(whisker) is not None
+    if named is not None and assumed and not _takes_curved(observer):
         return (
             f"{named[1]} is taken as straight: what its shape at rest does to this cue is unknown"
         )
@@ -347,17 +348,17 @@ def _side_of_law(whisker: Whisker) -> float:
 
 
 def _at_rest(whisker: Whisker | Profile) -> Whisker | Profile | None:
-    """The whisker with its shape at rest if it is taken as straight or as an arc, else None."""
+    """The whisker with its shape at rest if that was not given, or as an arc, else None."""
     if isinstance(whisker, Profile):
         plain, straight = whisker.whisker, not np.any(whisker.law(whisker.arc[[0, -1]]))
     else:
         plain, straight = whisker, not np.any(whisker.curvature)
+    is_arc = not straight and plain is whisker and plain.hinge_stiffness is None
+    if plain.identity is not None and is_arc:
+        species, follicle, _ = plain.identity
+        law = Spiral(*rest_shape(follicle, species)).scaled(np.ones(()), _side_of_law(plain))
+        return Profile.of(plain).curved(law)
     bow = usual_curvature(plain)
-    if plain.identity is not None:
-        species, follicle, bow = plain.identity
-        if not straight and plain is whisker and plain.hinge_stiffness is None:
-            law = Spiral(*rest_shape(follicle, species)).scaled(np.ones(()), _side_of_law(plain))
-            return Profile.of(plain).curved(law)
     if bow is None or not straight:
         return None
     if isinstance(whisker, Profile):

@@ -23,7 +23,7 @@ from ..cues import Cue
 from ..cues.protocol import is_curved
 from ..inference import Observer, Status, default_noise
 from ..inference.coordinates import in_words
-from ..inference.result import distance_prior
+from ..inference.observer import distance_prior
 from ..inference.tree import TOLERANCE
 from ..mechanics import Profile
 from ..receptors import GeneralisedWeber, ReceptorNoise, Weber

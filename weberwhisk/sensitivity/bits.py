@@ -17,9 +17,8 @@ from .._util.refusals import Refusal
 from .._util.values import Array, pd
 from ..cues import Fused
 from ..cues.protocol import Cue
-from ..inference.observer import Observer
+from ..inference.observer import Observer, distance_prior
 from ..inference.quadrature import sums_of
-from ..inference.result import distance_prior
 from ..inference.weighted import density_of_distance
 from ..mechanics.contact import Outcome
 from ..receptors import ReceptorNoise, Seed
