@@ -28,7 +28,7 @@ __all__ = ["Densities", "Lattice", "LatticeSums", "serves", "step_of"]
 SIDE = 8
 #: Most sds between a reading and the signals of a contact that is summed: of single readings, and
 #: of those that are multiplied, where tails meet.
-ALONE, TOGETHER = 7.0, 9.0
+ALONE, TOGETHER = 6.0, 8.0
 #: The step of the lattice for the smallest Weber fraction, as a share of it (at 0.35 the means of
 #: all but one in a hundred posteriors of curved whiskers are good to 2e-3 sd, at 0.7 of one in
 #: two), and its bounds. With less than the least Weber fraction no lattice serves.

@@ -606,18 +606,18 @@ def _ends(weight: Array, quantile: Array) -> Array:
     Mass is even between quantiles: two points of half of it have its mean and its variance.
     """
     n = weight.shape[1]
-    quantile = np.maximum.accumulate(quantile, axis=2)
-    heavy = (weight > 0)[..., None]
-    low = np.where(heavy, quantile, np.inf).min(axis=(0, 2))
-    high = np.where(heavy, quantile, -np.inf).max(axis=(0, 2))
+    node, index = np.nonzero(weight > np.exp(-WEIGHTLESS))
+    quantile = np.maximum.accumulate(quantile[node, index], axis=1)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, index, quantile[:, 0])
+    np.maximum.at(high, index, quantile[:, -1])
     unit = np.maximum(high - low, 1e-300) / BINS
-    mass = 0.5 * weight[..., None] * np.diff(QUANTILES)
-    width, middle = np.diff(quantile, axis=2), (quantile[..., 1:] + quantile[..., :-1]) / 2
+    place = (quantile - low[index, None]) / unit[index, None]
+    mass = 0.5 * weight[node, index][:, None] * np.diff(QUANTILES)
+    middle, width = (place[:, 1:] + place[:, :-1]) / 2, np.diff(place, axis=1) / np.sqrt(12.0)
     cumulative = np.zeros((n, BINS))
-    first = BINS * np.arange(n)[:, None]
-    for side in (-0.5, 0.5):
-        place = (middle + side * width / np.sqrt(3.0) - low[:, None]) / unit[:, None]
-        bins = np.clip(place.astype(np.intp), 0, BINS - 1) + first
+    for side in (middle - width, middle + width):
+        bins = np.clip(side.astype(np.intp), 0, BINS - 1) + BINS * index[:, None]
         cumulative += np.bincount(bins.ravel(), mass.ravel(), n * BINS).reshape(n, BINS)
     below = np.pad(np.cumsum(cumulative, axis=1), ((0, 0), (1, 0)))
     below /= below[:, -1:]
