@@ -620,3 +620,18 @@ def test_a_touch_does_not_depend_on_touches_of_the_other_side() -> None:
         alone = ww.locate(film.iloc[8:], whisker, touch="touch", noise=noise)
         numbers = [name for name in alone if name.startswith("touch_r") or name == "touch_sd_mm"]
         pd.testing.assert_frame_equal(every.iloc[8:][numbers], alone[numbers], rtol=1e-6)
+
+
+def test_what_long_tables_take_is_said_with_what_spares_it() -> None:
+    from functools import partial
+
+    from weberwhisk.inference import default_noise
+    from weberwhisk.recordings.mixture import cases_of
+
+    laws = [partial(default_noise, weber_fraction=k) for k in (0.1, 0.2)]
+    cases = cases_of(ww.Whisker(50e-3, 100e-6, 5e-6, curvature=0), SOFT, None, laws, None)
+    assert cases.cost(False, 1000, 1) == ""
+    said = cases.cost(False, 100_000, 1)
+    assert said.startswith("Locating 100000 rows takes about 2 min by 10 combinations of shape, ")
+    assert "about 1 min" in cases.cost(False, 100_000, 2)
+    assert "about 50 min" in cases.cost(True, 100_000, 1)

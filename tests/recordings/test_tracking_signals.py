@@ -107,7 +107,7 @@ def test_errors_of_moment_and_forces_are_those_of_monte_carlo_over_the_fit() -> 
     start = first[:, 5:8] + [0.3, 0.0, 0.0]
     p, _, points = _bent(shapes, first, start, points, Extra(base_sd=0.3 / unit))
     own, signals, _ = shapes.covariance(p, points, Extra(base_sd=0.3 / unit), BENT)
-    held = shapes.held(p)
+    held = shapes.contact_arc(p)
     clear = np.flatnonzero((held > 0.2) & (held < 0.9))[:12]
     rng, ratio = np.random.default_rng(1), []
     for i in clear:

@@ -99,7 +99,7 @@ def find_columns(
             )
         for key in mapping or {}:
             checks.one_of(named(name) + " key", key, NAMES)
-    found: dict[str, tuple[str, float, bool]] = {}
+    sources: dict[str, tuple[str, float, bool]] = {}
     for quantity, column in (columns or {}).items():
         if column not in header and isinstance(column, str):
             column = column.removeprefix("-")
@@ -108,8 +108,8 @@ def find_columns(
                 f"The table has no column {column!r}, mapped from {quantity!r}",
                 remedy=f"it has {checks.listed(header, 8)}",
             )
-        found[quantity] = _of(quantity, column, _unit_text(quantity, column), units)
-    taken = {column for column, _, _ in found.values()}
+        sources[quantity] = _of(quantity, column, _unit_text(quantity, column), units)
+    taken = {column for column, _, _ in sources.values()}
     for column in header:
         if column in taken:
             continue
@@ -120,24 +120,24 @@ def find_columns(
                 continue
             if quantity in (columns or {}):
                 break
-            if quantity in found:
+            if quantity in sources:
                 raise Refusal(
-                    f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}",
+                    f"Two columns hold {quantity}, {sources[quantity][0]!r} and {column!r}",
                     remedy="say which with " + argument("columns", {quantity: column}),
                 )
-            found[quantity] = _of(quantity, column, text, units)
+            sources[quantity] = _of(quantity, column, text, units)
             break
-    for quantity, (column, _, said) in found.items():
-        of = found.get(quantity.removesuffix("_sd"))
+    for quantity, (column, _, said) in sources.items():
+        of = sources.get(quantity.removesuffix("_sd"))
         if of is not None and not said:
-            found[quantity] = (column, *of[1:])
+            sources[quantity] = (column, *of[1:])
     for quantity in units or {}:
-        if quantity not in found:
+        if quantity not in sources:
             raise Refusal(
                 f"A unit was given for {quantity}, which the table has no column of",
                 remedy="map one with " + argument("columns", {quantity: ...}),
             )
-    return found
+    return sources
 
 
 def _unit_text(quantity: str, column: str) -> str | None:
@@ -158,9 +158,9 @@ def _of(quantity: str, column: str, text: str | None, units: Any) -> tuple[str, 
     if given is not None:
         factor = unit_factor(str(given), kind)
         if factor is None:
-            known = _EXAMPLES.get(kind, ", ".join(_UNITS[kind]))
+            examples = _EXAMPLES.get(kind, ", ".join(_UNITS[kind]))
             raise Refusal(
-                f"{given!r} is no unit of {quantity}", remedy=f"write one such as {known}"
+                f"{given!r} is no unit of {quantity}", remedy=f"write one such as {examples}"
             )
         return column, factor, True
     # The text after our name, or the longest suffix of another name that is a unit. A single
@@ -219,11 +219,11 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
     y, z = np.cos(azimuth), np.sin(azimuth)
     # Moment = contact × force: components of the transverse force along the push.
-    parts: dict[str, list[tuple[str, Any]]] = {
+    components: dict[str, list[tuple[str, Any]]] = {
         "moment": [("moment_y", y), ("moment_z", z)], "axial_force": [("force_x", -1.0)],
         "transverse_force": [("force_y", z), ("force_z", -y)],
     }  # fmt: skip
-    for name, terms in parts.items():
+    for name, terms in components.items():
         if {part for part, _ in terms} <= set(si):
             out[name] = np.sum([share * si[part] for part, share in terms], axis=0)
         if {f"{part}_sd" for part, _ in terms} <= set(si):
@@ -287,14 +287,14 @@ def read_contacts(
     if not raw.columns.is_unique:
         twice = raw.columns[raw.columns.duplicated()][0]
         raise Refusal(f"There are two columns {twice!r}", remedy="give each its own name")
-    found = find_columns(list(raw.columns), columns, units)
-    if not found:
+    sources = find_columns(list(raw.columns), columns, units)
+    if not sources:
         refuse_tracked(raw)
-    si = {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}
+    si = {q: values_of(raw, c) * factor for q, (c, factor, _) in sources.items()}
     for quantity, column in (columns or {}).items():
         if column not in raw and column.startswith("-"):  # of the opposite sign
             si[quantity] = -si[quantity]
-    return raw, si, found
+    return raw, si, sources
 
 
 def _table(table: Any) -> pd.DataFrame:
@@ -321,7 +321,7 @@ def _table(table: Any) -> pd.DataFrame:
 
 
 def reversing(
-    quantities: Sequence[str], found: Mapping[str, tuple[str, float, bool]],
+    quantities: Sequence[str], sources: Mapping[str, tuple[str, float, bool]],
     columns: Mapping[str, str] | None,
 ) -> dict[str, str]:  # fmt: skip
     """The `columns` to write so that quantities have the opposite sign, by the table's names."""
@@ -329,8 +329,8 @@ def reversing(
     in_space = {"axial_force": ["force_x"], "transverse_force": ["force_y", "force_z"]}
     out = {}
     for quantity in quantities:
-        for name in [n for n in in_space.get(quantity, []) if n in found] or [quantity]:
-            column = found[name][0]
+        for name in [n for n in in_space.get(quantity, []) if n in sources] or [quantity]:
+            column = sources[name][0]
             is_reversed = (columns or {}).get(name, column) != column
             out[name] = column if is_reversed else f"-{column}"
     return out
@@ -396,8 +396,8 @@ def _countable(si: dict[str, Array], names: list[str]) -> Flags:
 
 
 def signals_of(
-    si: dict[str, Array], cue: Cue | None, whisker: Any, known: bool | None, notes: list[str],
-    header: list[str],
+    si: dict[str, Array], cue: Cue | None, whisker: Any, known_stiffness: bool | None,
+    notes: list[str], header: list[str],
 ) -> tuple[Cue, Array, Array | None]:  # fmt: skip
     """The cue, the readings (n, S) and the covariances of their errors, if the table has any."""
     forces = [name for name in SIGNALS if name in si]
@@ -416,9 +416,9 @@ def signals_of(
                 remedy="map them with " + argument("columns", {"moment": "M"}),
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
-        if known is None:
-            known = plain.youngs_modulus != YOUNGS_MODULUS
-        if not known:
+        if known_stiffness is None:
+            known_stiffness = plain.youngs_modulus != YOUNGS_MODULUS
+        if not known_stiffness:
             cue = UnknownStiffness(cue)
             notes.append(
                 "Young's modulus is the default, and so taken as unknown: 3.34 GPa with an sd of "
@@ -430,8 +430,8 @@ def signals_of(
                 + "."
             )
     names = {"measured_angle": "deflection_angle"}
-    wanted = [names.get(name, name) for name in cue.signal_names]
-    missing = [name for name in wanted if name not in si]
+    required = [names.get(name, name) for name in cue.signal_names]
+    missing = [name for name in required if name not in si]
     if missing:
         if not set(missing) <= set(NAMES):
             raise Refusal(f"A table has no signals of {cue!r}", remedy="leave cue out")
@@ -439,15 +439,15 @@ def signals_of(
             f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of",
             remedy="map one with " + argument("columns", {missing[0]: ...}),
         )
-    y = np.stack([si[name] for name in wanted], axis=-1)
+    y = np.stack([si[name] for name in required], axis=-1)
     scale = np.ones(len(y))
-    if wanted == ["moment_rate"] and "angular_velocity" in si:
+    if required == ["moment_rate"] and "angular_velocity" in si:
         with np.errstate(divide="ignore", invalid="ignore"):
             inner: Any = cue.cue if isinstance(cue, UnknownStiffness) else cue
             scale = getattr(inner, "angular_velocity", 1.0) / si["angular_velocity"]
             y = y * scale[:, None]
         notes.append("The moment's rate was divided by the angular velocity, row by row.")
-    sds = [f"{name}_sd" for name in wanted]
+    sds = [f"{name}_sd" for name in required]
     present = [name for name in sds if name in si]
     if present and len(present) < len(sds):
         raise Refusal(
@@ -459,28 +459,28 @@ def signals_of(
         return cue, y, None
     sd = np.abs(np.stack([si[name] for name in sds], axis=-1) * scale[:, None])
     y = np.where(np.all(sd > 0, axis=1, keepdims=True), y, np.nan)
-    alike = np.broadcast_to(np.eye(len(sds)), (len(y), len(sds), len(sds))).copy()
-    if CORRELATION in si and wanted == ["moment", "transverse_force"]:
-        alike[:, 0, 1] = alike[:, 1, 0] = si[CORRELATION]
-    return cue, y, sd[:, :, None] * sd[:, None] * alike
+    correlation = np.broadcast_to(np.eye(len(sds)), (len(y), len(sds), len(sds))).copy()
+    if CORRELATION in si and required == ["moment", "transverse_force"]:
+        correlation[:, 0, 1] = correlation[:, 1, 0] = si[CORRELATION]
+    return cue, y, sd[:, :, None] * sd[:, None] * correlation
 
 
-def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> None:
+def check_magnitudes(observer: Observer, y: Array, sources: Mapping[str, Any]) -> None:
     """Refuse columns whose median is far from the usual signal of the whisker."""
     for name, usual, column in zip(
         observer.cue.signal_names, observer.usual_reading, np.abs(y).T, strict=True
     ):
-        known = column[np.isfinite(column) & (column > 0)]
-        if not known.size or not np.isfinite(usual) or name == "measured_angle":
+        finite = column[np.isfinite(column) & (column > 0)]
+        if not finite.size or not np.isfinite(usual) or name == "measured_angle":
             continue
-        times = float(np.median(known)) / usual
+        times = float(np.median(finite)) / usual
         if 1e-5 < times < 30:
             continue
         unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
         # The column in space from which the signal in the plane was computed.
         part = {"moment": "moment_y", "axial_force": "force_x"}.get(name, "force_y")
-        name = part if part in found else name
-        header, factor, _ = found.get(name, (name, 1.0, False))
+        name = part if part in sources else name
+        header, factor, _ = sources.get(name, (name, 1.0, False))
         unit = likely_prefix(2 * times, factor) + unit
         raise Refusal(
             f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker "

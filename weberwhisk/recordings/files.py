@@ -44,10 +44,11 @@ def measurements(path: Path) -> pd.DataFrame:
         "names": ["head", "values"], "formats": [("<i4", 10), ("<f8", m)],
         "offsets": [0, body // n - 16 * m], "itemsize": body // n,
     })  # fmt: skip
-    rows = np.frombuffer(data, row, n, 16)[::-1]
-    if not (rows["head"][:, 9] == m).all() or not np.isfinite(rows["values"][:, [0, 4, 5]]).all():
+    records = np.frombuffer(data, row, n, 16)[::-1]
+    finite = np.isfinite(records["values"][:, [0, 4, 5]]).all()
+    if not finite or not (records["head"][:, 9] == m).all():
         raise Refusal(f"{path.name}: its rows contradict its header", remedy="copy the file again")
-    head, values = rows["head"], rows["values"]
+    head, values = records["head"], records["values"]
     names = ("length_px", "score", "angle_deg", "curvature_per_px", "follicle_x", "follicle_y",
              "tip_x", "tip_y")  # fmt: skip
     table = pd.DataFrame({name: values[:, i].copy() for i, name in enumerate(names)})
@@ -72,7 +73,7 @@ def whiskers(path: Path) -> pd.DataFrame:
     broken = Refusal(f"{path.name}: cut short or damaged", remedy="copy the file again")
     if len(data) < 16:
         raise broken
-    count, at, rows = int(np.frombuffer(data, "<i4", 1, len(data) - 4)[0]), 12, []
+    count, at, records = int(np.frombuffer(data, "<i4", 1, len(data) - 4)[0]), 12, []
     end = len(data) - 4
     while at < end:
         if at + 12 > end:
@@ -84,23 +85,23 @@ def whiskers(path: Path) -> pd.DataFrame:
         x, y, _, score = numbers.reshape(4, -1)
         if not (np.isfinite(x) & np.isfinite(y)).all():
             raise broken
-        rows.append({"frame": frame, "whisker": number, "score": float(np.median(score)),
+        records.append({"frame": frame, "whisker": number, "score": float(np.median(score)),
                      **segment(x, y)})  # fmt: skip
         at += 12 + 16 * length
-    if count != len(rows):
+    if count != len(records):
         raise broken
-    return pd.DataFrame(rows)
+    return pd.DataFrame(records)
 
 
 def hdf5(path: Path, notes: list[str]) -> pd.DataFrame:
     """WhiskiWrap's `summary`, or the first table of ndx-whisk in an NWB file."""
     import h5py
 
-    found: dict[str, dict[str, Any]] = {}
+    tables: dict[str, dict[str, Any]] = {}
 
     def look(name: str, item: Any) -> None:
         if isinstance(item, h5py.Group) and {"frame_id", "whisker_id"} <= set(item):
-            found[name] = {
+            tables[name] = {
                 k: v[:] for k, v in item.items()
                 if isinstance(v, h5py.Dataset) and v.ndim == 1 and v.dtype.kind in "iuf"
             }  # fmt: skip
@@ -109,25 +110,25 @@ def hdf5(path: Path, notes: list[str]) -> pd.DataFrame:
         with h5py.File(path, "r") as file:
             summary = file.get("summary")
             if isinstance(summary, h5py.Dataset) and summary.dtype.names:
-                rows = summary[:]
-                own: dict[str, Any] = {name: rows[name] for name in rows.dtype.names}
+                records = summary[:]
+                measures: dict[str, Any] = {name: records[name] for name in records.dtype.names}
                 for axis in "xy":
                     pixels = file.get(f"pixels_{axis}")
-                    if isinstance(pixels, h5py.Dataset) and len(pixels) == len(rows):
-                        own[axis] = list(pixels[:])
-                found["summary"] = own
+                    if isinstance(pixels, h5py.Dataset) and len(pixels) == len(records):
+                        measures[axis] = list(pixels[:])
+                tables["summary"] = measures
             else:
                 file.visititems(look)
     except Exception as error:  # whatever h5py makes of a damaged file
         raise Refusal(f"{path.name}: not readable as HDF5", remedy="copy the file again") from error
-    if not found:
+    if not tables:
         raise Refusal(
             f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable",
             remedy="name a file of tracked whiskers",
         )
-    name, columns = next(iter(found.items()))
-    if len(found) > 1:
-        notes.append(f"There are {len(found)} tables of whiskers; this is {name}.")
+    name, columns = next(iter(tables.items()))
+    if len(tables) > 1:
+        notes.append(f"There are {len(tables)} tables of whiskers; this is {name}.")
     if len({len(v) for v in columns.values()}) > 1:
         raise Refusal(f"{path.name}: its columns differ in length", remedy="copy the file again")
     return pd.DataFrame(columns)

@@ -6,6 +6,7 @@ touches are located under all whiskers and noises that are possible (`mixture.py
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -226,7 +227,9 @@ def locate(
     if noise is None and covariance is None and type(plain.noise) in (Weber, GeneralisedWeber):
         learnt = learn(given, readings, touches)
         cases = of(*(partial(rescaled_noise, factor=factor) for factor in learnt.factors))
-    done = Done(progress, len(raw) + (touches >= 0).sum())
+    done = Done(progress, len(raw) + int((touches >= 0).sum()))
+    if cost := cases.cost(covariance is not None, done.total, workers or 1):
+        print(cost, file=sys.stderr, flush=True)
     status, numbers = _located(cases, readings, receptors, pool, done)
     status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
     results = dict(zip(RESULTS, numbers.T, strict=False))

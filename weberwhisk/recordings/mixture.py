@@ -54,8 +54,9 @@ SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
 WEIGHTLESS, IMPRECISE = 18.0, 9.0
 #: Rows whose quantiles are mixed together, and bins of the cumulative mixture.
 MIXED_TOGETHER, BINS = 64, 4096
-#: Rows that are located together.
-BLOCK = 512
+#: Rows that are located together, and seconds that a row takes by each combination, on a lattice
+#: and by cells.
+BLOCK, SECONDS = 512, (1e-4, 3e-3)
 #: Layers with mass that a touch needs on a lattice, and points between layers.
 LAYERS, PARTS = 6, 16
 
@@ -136,6 +137,19 @@ class Cases:
         """Whether there is something to mix, of observers that lattices serve."""
         pairs = [pair for by_noise in self.observers for pair in by_noise]
         return not self.single and all(serves(observer) for pair in pairs for observer in pair)
+
+    def cost(self, measured: bool, count: int, workers: int) -> str:
+        """What so many rows take, and what spares it, where that is more than half a minute."""
+        nodes = len(self.observers) * len(self.stiffness) * len(self.observers[0])
+        each = SECONDS[0 if self.on_lattices and not measured else 1]
+        minutes = nodes * each * count / workers / 60
+        if minutes < 0.5:
+            return ""
+        spared = "" if self.single else (
+            f" by {nodes} combinations of shape, stiffness and noise; a curvature, a Young's "
+            "modulus and a noise that are given spare those"
+        )  # fmt: skip
+        return f"Locating {count} rows takes about {max(minutes, 1):.0f} min{spared}."
 
     def densities(self, observer: Observer, width: float) -> Densities:
         """The densities of an observer on a lattice of its whisker, which is kept."""

@@ -48,15 +48,15 @@ class Points(NamedTuple):
     weight: Array
     arc: Array
 
-    def take(self, rows: Any) -> Points:
+    def take(self, index: Any) -> Points:
         """A subset of the frames."""
-        return Points(*(v[rows] for v in self))
+        return Points(*(v[index] for v in self))
 
 
 class FittedShape(NamedTuple):
     """Knots along n whiskers in base coordinates; arc length of the contact, and its force."""
 
-    held: Array
+    contact_arc: Array
     end: float
     angle: Array
     at: Complex
@@ -70,10 +70,10 @@ class FittedShape(NamedTuple):
 
     def on(self, arc: Array) -> tuple[Complex, Complex, Array]:
         """Points, tangents and curvatures at arc lengths (n, K), by cubic Hermite splines."""
-        held = self.held[:, None]
-        far = arc > held
-        step = np.where(far, (self.end - held) / _BEYOND, held / _STEPS)
-        i = np.where(far, (arc - held) / step, arc / step)
+        contact_arc = self.contact_arc[:, None]
+        far = arc > contact_arc
+        step = np.where(far, (self.end - contact_arc) / _BEYOND, contact_arc / _STEPS)
+        i = np.where(far, (arc - contact_arc) / step, arc / step)
         j = np.clip(np.floor(i), 0, np.where(far, _BEYOND, _STEPS) - 1).astype(np.intp)
         t, j = i - j, j + np.where(far, _STEPS, 0)
         z0, z1 = (np.take_along_axis(self.at, j + d, 1) for d in (0, 1))
@@ -94,30 +94,30 @@ class Shapes:
     reach: float
     change: float = 1e-5
 
-    def held(self, p: Array) -> Array:
+    def contact_arc(self, p: Array) -> Array:
         """Arc length of the contact, from 1 % of the length to the tip."""
         return np.asarray(0.01 + 0.985 * expit(p[:, 2]))
 
-    def place(self, held: Any) -> Array:
-        """The parameter `place` for a contact at arc length `held`; the inverse of `held`."""
-        share = np.clip((np.asarray(held, dtype=float) - 0.01) / 0.985, 0.005, 0.995)
+    def place(self, contact_arc: Any) -> Array:
+        """The parameter `place` for a contact at an arc length; the inverse of `contact_arc`."""
+        share = np.clip((np.asarray(contact_arc, dtype=float) - 0.01) / 0.985, 0.005, 0.995)
         return np.asarray(np.log(share / (1 - share)))
 
-    def started(self, p: Array, bends: Array, held: Any) -> Array:
-        """Start values with a contact at `held`, and a force estimated from curvatures (n, 3).
+    def started(self, p: Array, bends: Array, contact_arc: Any) -> Array:
+        """Start values with a contact there, and a force estimated from curvatures (n, 3).
 
-        The force follows from Δκ at a third of `held`, where the moment is 2/3 of that at the base.
+        The force follows from Δκ at a third of it, where the moment is 2/3 of that at the base.
         """
-        p, s = p.copy(), np.asarray(held) / 3
+        p, s = p.copy(), np.asarray(contact_arc) / 3
         change = ((bends - p[:, 5:8]) * s[:, None] ** np.arange(3)).sum(axis=1)
         length = float(self.profile.whisker.length)
         ei = self.profile.stiffness(length * s) / self.profile.stiffness(0.0)
-        p[:, 2], p[:, 3] = self.place(held), change * ei / (2 * s)
+        p[:, 2], p[:, 3] = self.place(contact_arc), change * ei / (2 * s)
         return p
 
     def curve(self, p: Array) -> FittedShape:
         """Shapes with parameters (n, 12), in base coordinates."""
-        held, end = self.held(p), max(self.reach, 1.0)
+        contact_arc, end = self.contact_arc(p), max(self.reach, 1.0)
         k0, k1, k2, m0, m1, m2 = p[:, 5:11].T
         length, stiff = float(self.profile.whisker.length), float(self.profile.stiffness(0.0))
         force = 1j * p[:, 3] * np.exp(1j * p[:, 4])
@@ -127,8 +127,8 @@ class Shapes:
             moment = -(np.conj(z) * force).imag + m0 + s * (m1 + s * m2)
             return np.asarray(k0 + s * (k1 + s * k2) + moment / ei)
 
-        h, s = -held / _STEPS, held
-        angle, z = np.zeros_like(held), np.zeros(len(p), dtype=complex)
+        h, s = -contact_arc / _STEPS, contact_arc
+        angle, z = np.zeros_like(contact_arc), np.zeros(len(p), dtype=complex)
         angles, zs, bends = [angle], [z], [bend(s, z)]
         for _ in range(_STEPS):
             a1, z1 = bends[-1], np.exp(1j * angle)
@@ -139,18 +139,18 @@ class Shapes:
             z, s = z + h / 6 * (z1 + 2 * z2 + 2 * z3 + z4), s + h
             angles, zs, bends = [*angles, angle], [*zs, z], [*bends, bend(s, z)]
         # Beyond the contact, by Simpson's rule.
-        u = held[:, None] + (end - held)[:, None] * np.linspace(0, 1, 2 * _BEYOND + 1)
+        u = contact_arc[:, None] + (end - contact_arc)[:, None] * np.linspace(0, 1, 2 * _BEYOND + 1)
         turn = u * (k0[:, None] + u * (k1[:, None] / 2 + u * k2[:, None] / 3))
         turn = turn - turn[:, :1]
         way = np.exp(1j * turn)
-        step = ((end - held) / _BEYOND / 6)[:, None]
+        step = ((end - contact_arc) / _BEYOND / 6)[:, None]
         far = np.cumsum(step * (way[:, :-2:2] + 4 * way[:, 1::2] + way[:, 2::2]), axis=1)
         rest = (k0[:, None] + u * (k1[:, None] + u * k2[:, None]))[:, 2::2]
-        turns = np.concatenate([np.array(angles[::-1]).T, turn[:, 2::2]], axis=1)
+        angles_at = np.concatenate([np.array(angles[::-1]).T, turn[:, 2::2]], axis=1)
         at = np.concatenate([np.array(zs[::-1]).T, far], axis=1)
         back = np.exp(-1j * angle)
         return FittedShape(
-            held, end, turns - angle[:, None], (at - z[:, None]) * back[:, None],
+            contact_arc, end, angles_at - angle[:, None], (at - z[:, None]) * back[:, None],
             np.concatenate([np.array(bends[::-1]).T, rest], axis=1), force * back,
         )  # fmt: skip
 
@@ -205,8 +205,8 @@ class Shapes:
         cost = (self._residuals(p, points, extra)[0] ** 2).sum(axis=1)
         left = np.arange(len(p))
         for _ in range(rounds):
-            own, known, old = points.take(left), extra.take(left), cost[left]
-            here, slopes = self._slopes(p[left], own, known, columns)
+            current, fixed, old = points.take(left), extra.take(left), cost[left]
+            here, slopes = self._slopes(p[left], current, fixed, columns)
             square = np.swapaxes(slopes, 1, 2) @ slopes
             size = damping[left, None] * (np.diagonal(square, axis1=1, axis2=2) + 1e-12)
             square = square + size[:, :, None] * np.eye(len(columns))
@@ -216,9 +216,9 @@ class Shapes:
                 step[:, columns.index(2)] = np.clip(step[:, columns.index(2)], -0.7, 0.7)
             tried = p[left]
             tried[:, columns] += step
-            moved = self._moved(tried, own, known)
+            moved = self._moved(tried, current, fixed)
             with np.errstate(over="ignore", invalid="ignore"):
-                new = (self._residuals(tried, moved, known)[0] ** 2).sum(axis=1)
+                new = (self._residuals(tried, moved, fixed)[0] ** 2).sum(axis=1)
             better = np.isfinite(new) & (new <= old)
             at = left[better]
             p[at], cost[at], points.arc[at] = tried[better], new[better], moved.arc[better]
@@ -245,7 +245,7 @@ class Shapes:
         """
         _, slopes = self._slopes(p, points, extra, free)
         square = np.swapaxes(slopes, 1, 2) @ slopes
-        own = np.linalg.pinv(square, hermitian=True)
+        inverse = np.linalg.pinv(square, hermitian=True)
         gain = np.empty((len(p), 5, len(NAMES)))
         here = self.signals(p)
         for i in range(len(NAMES)):
@@ -253,15 +253,15 @@ class Shapes:
             aside[:, i] += self.change
             gain[:, :, i] = (self.signals(aside) - here) / self.change
         to_free = gain[:, :, list(free)]
-        out = to_free @ own @ np.swapaxes(to_free, 1, 2)
+        out = to_free @ inverse @ np.swapaxes(to_free, 1, 2)
         common = np.zeros_like(out)
         if shared is not None:
             rest = [5, 6, 7]
             _, by_rest = self._slopes(p, points, extra, rest)
-            follow = -own @ np.swapaxes(slopes, 1, 2) @ by_rest
+            follow = -inverse @ np.swapaxes(slopes, 1, 2) @ by_rest
             total = gain[:, :, rest] + to_free @ follow
             common = total @ shared @ np.swapaxes(total, 1, 2)
-        return np.asarray(own), np.asarray(out + common), np.asarray(common)
+        return np.asarray(inverse), np.asarray(out + common), np.asarray(common)
 
 
 class Extra(NamedTuple):
@@ -274,9 +274,9 @@ class Extra(NamedTuple):
     pole_radius: float = 0.0
     pole_sd: float = 1.0
 
-    def take(self, rows: Any) -> Extra:
+    def take(self, index: Any) -> Extra:
         """For some of the frames."""
-        return self if self.pole is None else self._replace(pole=self.pole[rows])
+        return self if self.pole is None else self._replace(pole=self.pole[index])
 
 
 # -- from tables of tracking ----------------------------------------------------------------
@@ -304,9 +304,9 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
 
 def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) -> Points:
     """Points of every frame in whisker lengths (`unit` pixels), averaged in at most `groups`."""
-    rows = []
-    for own in table[list("xyz"[: plane.shape[1]])].to_numpy():
-        x, y = plane @ np.stack(list(own))
+    frames = []
+    for points in table[list("xyz"[: plane.shape[1]])].to_numpy():
+        x, y = plane @ np.stack(list(points))
         z = (x + 1j * y) / unit
         n = min(len(z), groups)
         which = np.arange(len(z)) * n // len(z)
@@ -316,9 +316,9 @@ def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) 
         arc = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(z[0], at)))))[1:]
         room = [(0, groups - n)]
         values = (at, spread, np.sqrt(count), arc)
-        rows.append((z[0], *(np.pad(v, room, "edge") for v in values)))
-        rows[-1][3][n:] = 0.0
-    return Points(*(np.array(column) for column in zip(*rows, strict=True)))
+        frames.append((z[0], *(np.pad(v, room, "edge") for v in values)))
+        frames[-1][3][n:] = 0.0
+    return Points(*(np.array(column) for column in zip(*frames, strict=True)))
 
 
 def free_frames(bends: Array, false_alarms: float) -> Flags:
@@ -338,8 +338,8 @@ def free_frames(bends: Array, false_alarms: float) -> Flags:
         edge = chi2.ppf(cut, size)
         # Variance of a Gaussian truncated there, relative to the whole one.
         left = chi2.cdf(edge, size + 2) / cut
-        own = bends[free]
-        middle, spread = own.mean(axis=0), np.cov(own.T) / left + 1e-18 * np.eye(size)
+        subset = bends[free]
+        middle, spread = subset.mean(axis=0), np.cov(subset.T) / left + 1e-18 * np.eye(size)
         far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
         free = far <= (np.quantile(far, 0.5) if cut == 0.5 else edge)
     return np.asarray(far <= chi2.isf(false_alarms, size))

@@ -147,8 +147,8 @@ def tracked_signals(
     start[:, 0] = np.angle(points.at[:, 2] - points.base)
     start[:, 2] = shapes.place(0.5)
     start[:, 4] = friction_angle
-    own, _, points = shapes.fit(start, points, extra, FREE)
-    bends = own[:, 5:8]
+    fitted, _, points = shapes.fit(start, points, extra, FREE)
+    bends = fitted[:, 5:8]
     given = None if contact is None else contacts_of(tracking, table, contact)
     free = free_frames(bends, false_alarms) if given is None else ~given
     if free.sum() < 10:
@@ -157,8 +157,8 @@ def tracked_signals(
             int(free.sum()),
             "give a longer part of the video, or other contacts",
         )
-    noise = _noise(shapes, own[free], points.take(free), extra)
-    slips = _slips(own[free], points.take(free))
+    noise = _noise(shapes, fitted[free], points.take(free), extra)
+    slips = _slips(fitted[free], points.take(free))
     extra = extra._replace(base_sd=max(noise, slips))
     points = points._replace(weight=points.weight / noise)
     rest = median_shape(bends[free])
@@ -182,30 +182,30 @@ def tracked_signals(
     out[AT_REST[1]] = (rest[1] + rest[2]) / length**2
     out["friction_angle_deg"] = np.degrees(friction_angle)
     if touched.size:
-        some, first = points.take(touched), own[touched].copy()
+        touching, first = points.take(touched), fitted[touched].copy()
         first[:, 5:8] = rest
-        alone = _bent(shapes, first, bends[touched], some, extra)
-        columns, held = _columns(shapes, alone, extra, shared), alone
+        alone = _bent(shapes, first, bends[touched], touching, extra)
+        columns, in_contact = _columns(shapes, alone, extra, shared), alone
         if where is not None:
             where = where[touched]
             extra = extra._replace(
                 pole=where, pole_radius=pole_radius_px / unit, pole_sd=pole_sd_px / unit
             )
-            near = np.abs(some.at - where[:, None]).argmin(axis=1)
-            first = shapes.started(first, bends[touched], some.arc[np.arange(len(near)), near])
-            first, _, placed = shapes.fit(first, some, extra, PLACED)
-            held = shapes.fit(first, placed, extra, BENT)
-            by_pole = _columns(shapes, held, extra, shared)
+            near = np.abs(touching.at - where[:, None]).argmin(axis=1)
+            first = shapes.started(first, bends[touched], touching.arc[np.arange(len(near)), near])
+            first, _, placed = shapes.fit(first, touching, extra, PLACED)
+            in_contact = shapes.fit(first, placed, extra, BENT)
+            by_pole = _columns(shapes, in_contact, extra, shared)
             by_pole["pole_distance"] = by_pole.pop("shape_distance")
             columns = columns | by_pole
-        notes += _check(shapes, held, shared, columns)
+        notes += _check(shapes, in_contact, shared, columns)
     else:
         names = (*_SIGNALS, *([] if where is None else ["pole_distance"]))
         columns = {name: (np.zeros(0), np.zeros(0)) for name in names}
         columns |= {"corr": np.zeros(0), "common": np.zeros(0), "misfit": np.zeros(0)}
-    rows = _in_units(columns, profile.whisker).set_axis(touched)
-    rows = rows.reindex(np.arange(len(out))).set_axis(out.index)
-    out = pd.concat([out, rows], axis=1).set_axis(index[table.index])
+    measured = _in_units(columns, profile.whisker).set_axis(touched)
+    measured = measured.reindex(np.arange(len(out))).set_axis(out.index)
+    out = pd.concat([out, measured], axis=1).set_axis(index[table.index])
     out.attrs = {"notes": tuple(notes)}
     return out
 
@@ -293,7 +293,7 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
     return float(out["pixels_per_mm"]), float(out["frame_rate"])
 
 
-def _slips(own: Array, points: Points) -> float:
+def _slips(fitted: Array, points: Points) -> float:
     """Sd of the error of first points along the whisker, lengths; 0 where not significant.
 
     An error that moves the first point outwards shortens the whisker by as much. Movement of the
@@ -301,7 +301,7 @@ def _slips(own: Array, points: Points) -> float:
     their covariance (clipped at 4 sd), if that exceeds three standard errors.
     """
     base = points.base - np.median(points.base.real) - 1j * np.median(points.base.imag)
-    place = np.real(base * np.exp(-1j * own[:, 0]))
+    place = np.real(base * np.exp(-1j * fitted[:, 0]))
     both = np.stack([place, np.abs(points.at[:, -1] - points.base)])
     off = both - np.median(both, axis=1, keepdims=True)
     most = 4 * 1.4826 * np.median(np.abs(off), axis=1, keepdims=True)
@@ -310,13 +310,13 @@ def _slips(own: Array, points: Points) -> float:
     return float(np.sqrt(-shared)) if -shared > 3 * error else 0.0
 
 
-def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
+def _noise(shapes: Shapes, fitted: Array, points: Points, extra: Extra) -> float:
     """Sd of a point, lengths: from residuals or from the scatter of curvature, if larger."""
-    left = (shapes._residuals(own, points, extra)[0][:, : points.at.shape[1]] ** 2).sum(axis=1)
+    left = (shapes._residuals(fitted, points, extra)[0][:, : points.at.shape[1]] ** 2).sum(axis=1)
     degrees = (points.weight > 0).sum(axis=1) - len(FREE)
     points_sd = float(np.sqrt(np.median(left / chi2.median(degrees))))
-    covariance = shapes.covariance(own, points, extra, FREE)[0]
-    bends = own[:, 5:8] - median_shape(own[:, 5:8])
+    covariance = shapes.covariance(fitted, points, extra, FREE)[0]
+    bends = fitted[:, 5:8] - median_shape(fitted[:, 5:8])
     far = np.einsum("ni,nij,nj->n", bends, np.linalg.inv(covariance[:, 2:, 2:]), bends)
     return max(points_sd, float(np.sqrt(np.median(far) / chi2.median(3))))
 
@@ -367,41 +367,41 @@ def _columns(shapes: Shapes, fit: Fit, extra: Extra, shared: Array) -> dict[str,
 def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> list[str]:
     """Notes that compare contact × force with EI·Δκ at the base, and the two distances."""
     p, _, points = fit
-    held = shapes.held(p)
-    near = points._replace(weight=np.where(points.arc < held[:, None], points.weight, 0.0))
+    contact_arc = shapes.contact_arc(p)
+    near = points._replace(weight=np.where(points.arc < contact_arc[:, None], points.weight, 0.0))
     start = p.copy()
     start[:, 3] = 0.0
-    start[:, 8], start[:, 9] = columns["moment"][0], -columns["moment"][0] / held
+    start[:, 8], start[:, 9] = columns["moment"][0], -columns["moment"][0] / contact_arc
     extra = Extra(p[0, 4])
-    found, _, near = shapes.fit(start, near, extra, NEAR_BASE)
-    covariance = shapes.covariance(found, near, extra, NEAR_BASE)[0]
+    fitted, _, near = shapes.fit(start, near, extra, NEAR_BASE)
+    covariance = shapes.covariance(fitted, near, extra, NEAR_BASE)[0]
     error = covariance[:, 2, 2]
     clear = columns["moment"][0] ** 2 > 25 * error
     if clear.sum() < 5:
         notes = ["EI·Δκ at the base is too uncertain to check contact × force by."]
     else:
-        bent, crossed = found[clear, 8], columns["moment"][0][clear]
+        bent, crossed = fitted[clear, 8], columns["moment"][0][clear]
         weight = 1 / (error + columns["moment"][1] ** 2)[clear]
         slope = float((weight * bent * crossed).sum() / (weight * crossed**2).sum())
         se = float((weight * crossed**2).sum() ** -0.5)
-        alike = float(np.corrcoef(bent, crossed)[0, 1])
+        correlation = float(np.corrcoef(bent, crossed)[0, 1])
         # A correlation of 1 attenuated by noise.
         least = 0.97 * float((1 + error[clear].mean() / np.var(crossed)) ** -0.5)
         # Fisher's transformation: arctanh r has an sd of (n − 3)^−½.
         least = float(np.tanh(np.arctanh(least) - 3 / np.sqrt(clear.sum() - 3)))
-        good = abs(slope - 1) < 0.05 + 3 * se and alike > least
+        good = abs(slope - 1) < 0.05 + 3 * se and correlation > least
         verdict = "agree" if good else "DO NOT agree; check scale, whisker, pole and friction"
         notes = [f"EI·Δκ at the base and contact × force {verdict}: slope {slope:.3g} ± {se:.2g}, "
-                 f"r = {alike:.3f}."]  # fmt: skip
+                 f"r = {correlation:.3f}."]  # fmt: skip
     misfit = float(np.median(columns["misfit"]))
     if misfit > 2:
         notes.append(
             f"The bent whisker does not fit the points: χ² is {misfit:.2g} times what noise gives."
         )
     if "pole_distance" in columns:
-        (r, sd), (other, own) = columns["shape_distance"], columns["pole_distance"]
-        off = (r - other) / np.hypot(sd, own)
-        beyond = 1e3 * float(shapes.profile.whisker.length) * float(np.median(r - other))
+        (r, sd), (pole_distance, pole_sd) = columns["shape_distance"], columns["pole_distance"]
+        off = (r - pole_distance) / np.hypot(sd, pole_sd)
+        beyond = 1e3 * float(shapes.profile.whisker.length) * float(np.median(r - pole_distance))
         notes.append(
             f"The shape alone puts contacts {beyond:.2g} mm beyond the pole (median), "
             f"{np.median(np.abs(off)):.2g} sd off (0.67 expected)."
