@@ -47,7 +47,7 @@ QUICK, QUICK_PASS = 400.0, 500  # effective draws of a trial: evidence to 0.05, 
 MOVED, WIDER = 1.0, 1.5  # sds of ln k, and times its width, from which a cause matters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cause:
     """What may be behind a misfit, to be put into the model.
 
@@ -81,7 +81,7 @@ _OF_EFFECTS: tuple[tuple[Effect, str, FitStatus], ...] = (
     (BiasDrift(), "a bias that drifts over the trials", FitStatus.MISFIT_DRIFT),
     (
         Overdispersion(),
-        "answers that scatter more than chance",
+        "more scatter than chance makes",
         FitStatus.MISFIT_OVERDISPERSION,
     ),
 )
@@ -257,32 +257,49 @@ def search(fit: Estimates) -> Search:
     beside it, up to three.
 
     Each is taken with strong evidence, a Bayes factor of 10 or more. A cause that is superfluous
-    beside a later one is dropped.
+    beside a later one is dropped. Those chosen stand in the order of what the fit would lose
+    without them.
     """
     plain = Tried((), fit if fit.log_evidence is not None else with_causes(fit, ()))
     causes = possible_causes(fit)
-    tried: list[Tried] = []
+    tried = {frozenset[Cause](): plain}
     best = plain
-
-    def trial(*chosen: Cause) -> Tried:
-        tried.append(Tried(chosen, with_causes(fit, chosen, quick=True)))
-        return tried[-1]
-
     while len(best.causes) < MOST:
         more = [c for c in causes if c not in best.causes and _go_together(fit, [*best.causes, c])]
         if not more:
             break
-        new = max((trial(*best.causes, c) for c in more), key=lambda t: t.log_evidence)
-        gain = new.log_evidence - best.log_evidence
-        if gain < STRONG:
+        new = max((_trial(tried, fit, (*best.causes, c)) for c in more), key=_evidence)
+        if new.log_evidence - best.log_evidence < STRONG:
             break
-        for cause in new.causes[:-1]:
-            without = trial(*(c for c in new.causes if c is not cause))
-            if without.log_evidence > new.log_evidence:
-                new = without
-        best = Tried(new.causes, with_causes(fit, new.causes))
-        tried.append(best)
+        for without in _without_each(tried, fit, new):
+            new = max(new, without, key=_evidence)
+        lost = [-one.log_evidence for one in _without_each(tried, fit, new)]
+        order = tuple(new.causes[i] for i in np.argsort(lost, kind="stable")[::-1])
+        best = Tried(order, with_causes(fit, order))
+        tried[frozenset(order)] = best  # as good as any fit
         if not best.fit.unweighed.is_misfit:
             break
-    by_name = {t.name: t for t in tried}  # the last of a name is the accurate one
-    return Search(plain, tuple(by_name.values()), best if best.causes else None)
+    alone = (one for one in tried.values() if one.causes)
+    return Search(plain, tuple(alone), best if best.causes else None)
+
+
+def _evidence(tried: Tried) -> float:
+    return tried.log_evidence
+
+
+def _trial(
+    tried: dict[frozenset[Cause], Tried], fit: Estimates, causes: tuple[Cause, ...]
+) -> Tried:
+    """A quick fit with causes, made once."""
+    key = frozenset(causes)
+    if key not in tried:
+        tried[key] = Tried(causes, with_causes(fit, causes, quick=True))
+    return tried[key]
+
+
+def _without_each(
+    tried: dict[frozenset[Cause], Tried], fit: Estimates, whole: Tried
+) -> list[Tried]:
+    """Quick fits without one cause, for each cause."""
+    rest = [tuple(c for c in whole.causes if c is not cause) for cause in whole.causes]
+    return [_trial(tried, fit, causes) for causes in rest]
