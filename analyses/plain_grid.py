@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, ndtri
-from scipy.stats import beta, norm
+from scipy.stats import beta, cauchy, norm
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,7 @@ EDGES = np.r_[0, (LAPSES[1:] + LAPSES[:-1]) / 2, 1]
 BIAS = np.arange(-3, 3.01, 0.2)
 REACH = np.arange(-3.2, 2.6, 0.12)  # of ln k from where the easiest level is 1 sd away
 FINE = 900
+SHIPPED_BIAS = cauchy(0, 0.7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +181,7 @@ def belief(a: float, b: float, correlation: float = 0.7) -> Array:
 
 
 def density(
-    design: Design, count: Array, beliefs: Array, bias_sds: tuple[float, ...] = (1.0,)
+    design: Design, count: Array, beliefs: Array, biases: tuple[Any, ...] = (SHIPPED_BIAS,)
 ) -> tuple[Array, Array]:
     """Nodes of ln k, (K,), and the likelihood there under each belief, (S, K, B, N).
 
@@ -189,16 +190,16 @@ def density(
     count : ndarray, shape (N, C)
     beliefs : ndarray, shape (Lo·Hi, B)
         Prior weights of the lapse nodes.
-    bias_sds : tuple of float, S of them
-        Of the normal prior of the bias.
+    biases : tuple of distributions, S of them
+        Priors of the bias.
     """
     ln_k = np.log(design.reach / np.sqrt(2)) + REACH
     low, high = LAPSES[:, None, None, None], LAPSES[:, None, None]
     both = np.hstack([count, design.per_level - count]).T.astype(np.float32)
-    of_bias = np.array([norm.pdf(BIAS, 0, sd) for sd in bias_sds], dtype=np.float32)
+    of_bias = np.array([prior.pdf(BIAS) for prior in biases], dtype=np.float32)
     of_bias /= of_bias.sum(axis=1, keepdims=True)
     shape = LAPSES.size**2, BIAS.size, len(count)
-    out = np.empty((len(bias_sds), ln_k.size, beliefs.shape[1], len(count)))
+    out = np.empty((len(biases), ln_k.size, beliefs.shape[1], len(count)))
     tops = np.empty((ln_k.size, len(count)))
     for i, z in enumerate(design.drive / np.exp(ln_k)[:, None, None] + BIAS[:, None]):
         p = low * ndtr(-z) + (1 - high) * ndtr(z)

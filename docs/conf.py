@@ -105,7 +105,9 @@ if (VENDORED / "mathjax").exists() or mathjax_from_npm(VENDORED):
 html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
-html_sidebars = {f"validation/{page}": [] for page in ("lapse_prior", "real_data", "recovery")}
+html_sidebars = {
+    f"validation/{page}": [] for page in ("lapse_prior", "prior_choice", "real_data", "recovery")
+}
 html_theme_options = {
     "navigation_with_keys": False,
     "show_prev_next": True,

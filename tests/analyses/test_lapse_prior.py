@@ -54,7 +54,8 @@ def test_what_was_chosen_is_the_default() -> None:
     for prior in (DEFAULTS.lapse_low, DEFAULTS.lapse_high):
         assert (prior.dist.name, prior.args) == ("beta", (a, b))
     assert DEFAULTS.lapse_correlation == correlation
-    assert (DEFAULTS.bias.mean(), DEFAULTS.bias.std()) == (0.0, script.BIAS_SDS[0])
+    shipped = grid.SHIPPED_BIAS
+    assert (DEFAULTS.bias.dist.name, DEFAULTS.bias.args) == (shipped.dist.name, shipped.args)
 
 
 @pytest.mark.parametrize("name", ["k 0.1, 297 trials to ±0.30", "k 0.2, 297 trials to ±0.30"])

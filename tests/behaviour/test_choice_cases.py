@@ -563,3 +563,39 @@ def test_no_text_is_told_to_be_saved_as_csv(tmp_path: Path) -> None:
     for made in (b'a,b\n1,"2\n3,4\n', b"stimulus_1,x\n1,2,3\n", b"\x81\x8d\n", b"\n\n"):
         path.write_bytes(made)
         assert "as CSV" not in refused(path)
+
+
+# -- criteria and points of equality far away -----------------------------------------------------
+
+
+def held_or_said(table: pd.DataFrame, task: str, k: float) -> bool:
+    """Whether the 95 % interval holds k, or the status says that something else decides."""
+    fit = fit_weber(read_trials(table, task=task))
+    low, high = fit.interval(0.95)
+    return low <= k <= high or fit.status.name != "DETERMINED"
+
+
+@pytest.mark.parametrize("boundary", [13.0, 14.0, 15.0])
+def test_a_criterion_of_several_sds_does_not_move_k_in_silence(boundary: float) -> None:
+    """Under a standard normal belief intervals held k = 0.08 in 10, 2 and 0 of 20, DETERMINED."""
+    shown, n = np.array([10, 12, 14, 16, 18, 20.0]), np.array([200, 40, 40, 40, 40, 40])
+    p = 0.01 + 0.98 * ndtr((shown - boundary) / (0.08 * shown))
+    well = 0
+    for seed in range(100, 110):
+        count = np.random.default_rng(seed).binomial(n, p)
+        table = pd.DataFrame({"standard": 10.0, "comparison": shown, "n": n, "n_greater": count})
+        well += held_or_said(table, "go/no-go", 0.08)
+    assert well >= 9
+
+
+def test_equality_far_off_does_not_move_a_small_k_in_silence() -> None:
+    """20 % off at k = 0.03 is a bias of 4 sds: under the belief before 1 of 12 was held."""
+    shown, k = np.linspace(1.05, 1.35, 9), 0.03
+    bias = -0.2 / (k * np.hypot(1, 1.2))
+    p = 0.02 + 0.96 * ndtr((shown - 1) / (k * np.hypot(1, shown)) + bias)
+    well = 0
+    for seed in range(12):
+        count = np.random.default_rng(seed).binomial(20, p)
+        table = pd.DataFrame({"standard": 1.0, "comparison": shown, "n": 20, "n_greater": count})
+        well += held_or_said(table, "2AFC", k)
+    assert well >= 11

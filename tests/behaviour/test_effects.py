@@ -160,10 +160,13 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     known = {"lapse_low": LOW, "lapse_high": HIGH}
     trials = answered(name, value, seed=13, trials=3000)
     fit = fit_weber(trials, effects=[effect], priors=known)
-    assert fit.status is FitStatus.DETERMINED
     low, high = fit.interval(0.99, parameter=name)
     assert low < value < high
-    if name != "noise_by_order":  # nothing to be seen of it at this k
+    if name == "noise_by_order":  # nothing to be seen of it at this k, so that its belief decides
+        assert fit.status is FitStatus.PRIOR_DEPENDENT
+        assert fit.prior_sensitivity["sds"].idxmax() == name
+    else:
+        assert fit.status is FitStatus.DETERMINED
         assert not low < (1 if name == "exponent" else 0) < high
     low, high = fit.interval(0.99)
     assert low < K < high

@@ -123,7 +123,9 @@ def test_a_ridge_between_bias_and_lapses_is_integrated() -> None:
     """One ratio up and one down: four parameters on two proportions."""
     trials = counted([0.8, 1.25], 1500, [470, 900])
     wide = stats.beta(0.3, 3)
-    fit = fit_weber(trials, priors={"lapse_low": wide, "lapse_high": wide})
+    fit = fit_weber(
+        trials, priors={"lapse_low": wide, "lapse_high": wide, "bias": stats.norm(0, 1)}
+    )
     assert fit.posterior.trouble == ""
     c = trials.cells()
     drive = (c.stimulus_2 - c.stimulus_1) / np.hypot(c.stimulus_1, c.stimulus_2)
@@ -223,7 +225,11 @@ def test_recovery_and_coverage_in_full(per_level: int) -> None:
 @pytest.mark.parametrize("subject", ["s1", "s2"])
 def test_numerosity(subject: str) -> None:
     fit = fit_weber(load_numerosity(subject))
-    assert fit.status is FitStatus.DETERMINED
+    # How far down k may go is a matter of what is believed about lapses, how far up is not.
+    assert fit.status is FitStatus.PRIOR_DEPENDENT
+    moved = fit.prior_sensitivity.loc["lapses"]
+    assert abs(np.log(moved["lower_half"] / moved["lower_twice"])) > 0.15
+    assert abs(np.log(moved["upper_half"] / moved["upper_twice"])) < 0.02
     assert fit.misfit > 0.05
     # Numerosity Weber fractions of adults lie between 0.1 and 0.35.
     assert 0.1 < fit.weber_fraction < 0.35
@@ -248,12 +254,11 @@ def test_the_rat_is_not_always_engaged() -> None:
     assert one.log_evidence is not None
     assert three.log_evidence is not None
     assert three.log_evidence > one.log_evidence + 10
-    # States leave a bias that drifts, and with it what wins and losses do.
-    assert three.status.is_misfit
-    assert three.search.chosen is not None
-    assert three.search.chosen.name == "bias_drift"
-    assert three.search.chosen.fit.status.is_misfit
-    assert "The answers show a bias that drifts over the trials" in three.report()
+    # States leave some of what wins and losses do, and most like it a bias that drifts, but not by
+    # a Bayes factor of ten.
+    assert three.status is FitStatus.MISFIT_HISTORY
+    assert three.search.chosen is None
+    assert max(three.search.tried, key=lambda one: one.log_evidence).name == "bias_drift"
 
 
 def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:

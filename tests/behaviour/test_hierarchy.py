@@ -120,7 +120,7 @@ def test_the_likelihood_of_k_integrates_to_the_evidence_of_one_animal() -> None:
             up = ndtr(gap / np.exp(x) + b)
             p = np.clip(low * (1 - up) + (1 - high) * up, 1e-300, 1 - 1e-16)
             inside = (c.count * np.log(p) + (c.n - c.count) * np.log(1 - p)).sum(axis=-1) + prior
-            total.append(logsumexp(inside) + stats.norm.logpdf(b))
+            total.append(logsumexp(inside) + priors.of("bias").logpdf(b))
             total[-1] += priors.weber_fraction.logpdf(np.exp(x)) + x
     steps = (z[1] - z[0]) ** 2 * (log_k[1] - log_k[0]) * (bias[1] - bias[0])
     nodes, log_like = of_fraction(model.merged(), 0.12)

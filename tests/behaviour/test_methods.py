@@ -27,7 +27,7 @@ def test_counts_priors_and_versions_are_said() -> None:
         f"{trials.n_trials} trials (9 without an answer were left out) of the task 2AFC",
         f"{trials.cells().n.size} pairs of stimuli at 3 standards",
         "weber_fraction ~ lognorm(1.099, scale=0.1)",
-        "lapse_low ~ beta(0.7, 20), lapse_high ~ beta(0.7, 20), bias ~ norm(0, 1)",
+        "lapse_low ~ beta(0.7, 20), lapse_high ~ beta(0.7, 20), bias ~ cauchy(0, 0.7)",
         "the two lapse rates correlate by 0.7",
         "Φ(d + b)",
         "status: DETERMINED",
@@ -65,5 +65,5 @@ def test_a_population_is_described() -> None:
     assert (
         f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k is normal" in text
     )
-    assert "bias ~ norm(0, 1), spread ~ halfnorm(scale=0.5);" in text
+    assert "bias ~ cauchy(0, 0.7), spread ~ halfnorm(scale=0.5);" in text
     assert f"status: {found.status.name}" in text

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from command_lines import SOFT, answer, refused, rows
 import weberwhisk as ww
 from weberwhisk import cli
 from weberwhisk.behaviour.effects import EFFECTS
+from weberwhisk.behaviour.priors import belief_named
 from weberwhisk.cli import run_app
 
 
@@ -202,9 +204,32 @@ def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     levels = answer(capsys, "fit", file, "--prior", "levels", "--lapse-prior", "1,20")
     believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
     assert believed.endswith("about the levels shown")
-    assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
+    assert "--prior takes a pair such as" in refused(capsys, "fit", file, "--prior", "wide")
     moved = answer(capsys, "fit", file, "--effect", "floor", "--lapse-prior", "1,20")
     assert moved["settings"]["effects"] == ["floor"]  # type: ignore[index]
+
+
+def test_every_belief_has_an_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(tmp_path / "t.csv")
+    ww.simulate_trials(trials_per_level=10, sessions=3, seed=1).table().to_csv(file, index=False)
+    said = {
+        "weber_fraction": "lognorm(1, scale=0.2)", "lapse_low": "beta(1, 20)",
+        "bias": "norm(0, 5)", "drift": "norm(0, 0.2)",
+    }  # fmt: skip
+    options = [w for name, text in said.items() for w in ("--prior", f"{name}={text}")]
+    options += ["--prior", "lapse_high=0.02", "--effect", "drift"]
+    found = answer(capsys, "fit", file, *options)
+    parameters: Any = found["parameters"]
+    assert {name: one["prior"] for name, one in parameters.items()} == said
+    priors = {name: belief_named(text) for name, text in said.items()} | {"lapse_high": 0.02}
+    same = ww.fit_weber(ww.read_trials(file), priors=priors, effects=[ww.behaviour.effects.Drift()])
+    assert found["weber_fraction"] == pytest.approx(same.weber_fraction, rel=1e-9)
+    for text, words in (
+        ("bias=nrm(0, 1)", "no such continuous distribution"), ("bias=norm(0, -1)", "parameters"),
+        ("bias=norm(0", "write 'beta(1, 9)'"), ("bais=0.2", "did you mean 'bias'"),
+        ("bias=poisson(2)", "no such continuous"),
+    ):  # fmt: skip
+        assert words in refused(capsys, "fit", file, "--prior", text)
 
 
 def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,7 +120,8 @@ def test_information_is_the_integral_that_it_says():
 @pytest.mark.parametrize("goal", ["weber_fraction", "hypothesis", "everything"])
 def test_lapses_and_bias_are_integrated_out(goal):
     """Brute force: draws of all parameters from their priors, and means over them."""
-    priors = Priors(lapse_low=stats.beta(2, 18), lapse_high=stats.beta(1, 9), lapse_correlation=0)
+    priors = Priors(lapse_low=stats.beta(2, 18), lapse_high=stats.beta(1, 9), lapse_correlation=0,
+                    bias=stats.norm(0, 1))  # fmt: skip
     tapered, cylinder = (Hypothesis(h.name, h.encoding, priors, bias="shared") for h in taper(W))
     scheme = Scheme([40e-3], [[-20e-3, -4e-3, -1e-3, 1e-3, 3e-3, 9e-3]])
     found = BayesianPlacer([tapered, cylinder], scheme, goal=goal, seed=1).information()
@@ -210,7 +211,8 @@ def test_information_saves_trials():
         )  # fmt: skip
         low, high = fit_weber(trials).interval()
         halves["constant"].append((high - low) / (high + low))
-    assert np.median(halves["information"]) < 0.8 * np.median(halves["constant"])
+    # 0.86: some trials go to where a large bias, which is believed possible, would show.
+    assert np.median(halves["information"]) < 0.9 * np.median(halves["constant"])
 
 
 # -- what is refused -----------------------------------------------------------------------------

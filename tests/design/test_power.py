@@ -51,7 +51,8 @@ def design(places, trials):
 
 # -- a referee that shares no code with the package ----------------------------------------------
 
-PLAIN = {"lapse_low": beta(1, 19), "lapse_high": beta(1, 19), "lapse_correlation": 0.0}
+PLAIN = {"lapse_low": beta(1, 19), "lapse_high": beta(1, 19), "lapse_correlation": 0.0,
+         "bias": norm(0, 1)}  # fmt: skip
 
 
 def plain_experiments(places, trials, truth, runs, rng):
@@ -215,6 +216,7 @@ def test_intervals_cover_what_the_prior_draws():
     believed = SubjectPopulation(spread=0.0, lapses_vary=True, lapse=0.05, bias_spread=1.0)
     (hypothesis,) = with_priors(
         [TAPERED], lapse_low=beta(2, 38), lapse_high=beta(2, 38), lapse_correlation=0.0,
+        bias=norm(0, 1),
     )  # fmt: skip
     rng = np.random.default_rng(4)
     drawn = [
@@ -245,7 +247,7 @@ def drawn_from_the_priors(hypothesis, scheme, runs, rng):
     )
     possible = (low + high < 1).all(axis=1)
     low, high, k = (a[possible] for a in (low, high, k))
-    bias = rng.standard_normal((*k.shape, model.n_groups))
+    bias = believed.value("bias", rng.standard_normal((*k.shape, model.n_groups)))
     p, _ = model.probability(k, low, high, bias)
     counts = rng.binomial(model.cells.n.astype(int), np.clip(p, 0, 1)).astype(float)
     return counts, middle[possible]

@@ -8,8 +8,8 @@ from numbers import Real
 from typing import Any
 
 __all__ = [
-    "Advice", "Argument", "Call", "Named", "Refusal", "Remedy", "argument", "call", "named",
-    "remedy", "without_remedies",
+    "Advice", "Argument", "Call", "Named", "Refusal", "Remedy", "argument", "call", "in_code",
+    "named", "remedy", "without_remedies",
 ]  # fmt: skip
 
 

@@ -6,18 +6,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from .._util.sampling import ArvizData, integers, to_arviz
 from .._util.values import Array
 from .estimates import Estimates
-from .likelihood import Draws, WeberModel
-from .posteriors import prior_draws
-from .priors import REACH, TINY, Priors
+from .likelihood import Draws
+from .posteriors import log_prior_density, prior_draws
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import STIMULI
 
-__all__ = ["log_prior_density", "observer_data"]
+__all__ = ["observer_data"]
 
 _BIAS_UNITS: dict[type[Task], str] = {
     SignedChoice: "sd of the difference between the signals",
@@ -78,48 +76,6 @@ def observer_data(fit: Estimates, seed: int = 1) -> ArvizData:
         units=_units(fit),
         comments={"log_likelihood": _of_likelihood(fit)},
     )
-
-
-def log_prior_density(model: WeberModel, draws: Draws) -> dict[str, Array]:
-    """Log prior density of the inferred parameters at draws, (N,) each; of the biases (N, G).
-
-    Two lapses that are correlated beforehand have one, "lapses", which is joint. That they sum to
-    less than 1 changes it by a constant, and is left out.
-    """
-    named, priors = draws.named(model), model.priors
-    both = ("lapse_low", "lapse_high")
-    joint = all(name in named for name in both) and priors.lapse_correlation != 0
-    out: dict[str, Array] = {}
-    for name, values in named.items():
-        if name in model.group_names:
-            continue
-        if not (joint and name in both):
-            out[name] = priors.log_density(name, np.maximum(values, _least(priors, name)))
-        elif name == both[0]:
-            out["lapses"] = _joint_lapses(priors, *(named[n] for n in both))
-    if model.free_bias:
-        out["bias"] = model.log_bias_prior(draws.bias)
-    return out
-
-
-def _least(priors: Priors, name: str) -> float:
-    """Below which a density that is infinite at 0 is taken as there."""
-    return TINY if priors.support(name)[0] == 0 else -np.inf
-
-
-def _joint_lapses(priors: Priors, low: Array, high: Array) -> Array:
-    """Log density of two lapses whose normal scores are correlated."""
-    rho = priors.lapse_correlation
-    total, scores = np.zeros(low.shape), []
-    for name, lapse in (("lapse_low", low), ("lapse_high", high)):
-        prior, value = priors.of(name), np.maximum(lapse, TINY)
-        below, above = ndtri(prior.cdf(value)), -ndtri(prior.sf(value))
-        scores.append(np.clip(np.where(below < 0, below, above), -REACH, REACH))
-        total = total + prior.logpdf(value)
-    a, b = scores
-    left = 1 - rho**2
-    copula = (2 * rho * a * b - rho**2 * (a**2 + b**2)) / (2 * left) - 0.5 * np.log(left)
-    return np.asarray(total + copula)
 
 
 def _units(fit: Estimates) -> dict[str, str]:

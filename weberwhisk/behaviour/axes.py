@@ -1,7 +1,7 @@
 """The axes of the grid: coordinates, the prior density there, and how well each can be known.
 
-k and biases have the normal scores of their priors as coordinates, lapses those of
-`priors.lapse_transform`.
+k has the normal score of its prior as coordinate, lapses and biases have those of
+`priors.lapse_transform` and `priors.bias_transform`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .priors import REACH, Priors
 from .tasks import Task
 
 __all__ = [
-    "bias_at", "even", "lapse_prior", "lapse_weights", "least_bias_sds", "least_sd",
+    "bias_at", "bias_prior", "even", "lapse_prior", "lapse_weights", "least_bias_sds", "least_sd",
     "log_lapses_possible", "score_prior", "signals",
 ]  # fmt: skip
 
@@ -110,11 +110,21 @@ def signals(model: WeberModel, nodes: Array) -> tuple[Array, Array]:
     return d, weight
 
 
-def bias_at(model: WeberModel, score: Array) -> Array:
-    """A bias at a normal score of its prior; its value where it is fixed."""
+def bias_at(model: WeberModel, coordinate: Array) -> Array:
+    """A bias at its coordinate; its value where it is fixed."""
     if not model.free_bias:
-        return np.full(np.shape(score), model.fixed_bias())
+        return np.full(np.shape(coordinate), model.fixed_bias())
+    score = model.bias_transform.score(coordinate)
     return model.priors.value("bias", np.minimum(np.maximum(score, -REACH), REACH))
+
+
+def bias_prior(model: WeberModel, coordinate: Array) -> Array:
+    """Log prior density of a bias on its coordinate; 0 where it is fixed."""
+    if not model.free_bias:
+        return np.zeros(np.shape(coordinate))
+    transform = model.bias_transform
+    normal = -0.5 * transform.score(coordinate) ** 2 - 0.5 * np.log(2 * np.pi)
+    return np.asarray(normal + np.log(transform.slope(coordinate)))
 
 
 def least_bias_sds(model: WeberModel, d: Array, weight: Array, span: Array) -> Array:

@@ -21,6 +21,7 @@ from .estimates import Estimates, compared
 from .formula import Term
 from .likelihood import encoding_of
 from .predictive import Answers, is_near, summed, threshold
+from .prior_sensitivity import moving, sentence_of
 from .priors import PARAMETERS, priors_for
 from .trials import STIMULI
 from .verdict import FitStatus, too_few_kinds
@@ -167,8 +168,11 @@ def judged(
             return cause.causes[0].status, (*notes, _NOT_ALL)
         elif fit.search.matters:
             return cause.causes[0].status, notes
-    if status is FitStatus.DETERMINED and (too_few_kinds(fit.model) or _moved_by_beliefs(fit)):
-        return FitStatus.PRIOR_DEPENDENT, notes
+    if status is FitStatus.DETERMINED:
+        deciding = moving(fit.prior_sensitivity)
+        if len(deciding) or too_few_kinds(fit.model):
+            said = (sentence_of(str(belief), row) for belief, row in deciding.iterrows())
+            return FitStatus.PRIOR_DEPENDENT, (*notes, *said)
     return status, notes
 
 
@@ -177,14 +181,6 @@ _NOT_ALL = (
     "With what the answers show the checks still see a misfit, and it is not known how much the "
     "rest matters for the Weber fraction."
 )
-
-
-def _moved_by_beliefs(fit: Estimates) -> bool:
-    """Whether a belief about lapses that the answers do not refute puts k out of its interval."""
-    table, (low, high) = fit.lapse_sensitivity, fit.interval()
-    outside = (table["weber_fraction"] < low) | (table["weber_fraction"] > high)
-    believable = table["log_bayes_factor"] > -np.log(10.0)  # odds of 10 against it refute it
-    return bool((outside & believable).any())
 
 
 def _in_words(fit: Estimates, name: str, row: pd.Series) -> str:
@@ -222,12 +218,20 @@ def advice(fit: Estimates) -> str | None:
         effects = [effect for one in cause.causes for effect in one.effects]
         return "Nothing yet: first " + _with(fit, *effects, **changed) + "."
     if fit.status is FitStatus.PRIOR_DEPENDENT:
-        return (
-            "Easy comparisons, further from the standard than any so far: they alone determine the "
-            "lapses. Or state what is known of them, "
-            + argument("priors", {"lapse_low": 0.02, "lapse_high": 0.02})
-            + ", say."
-        )
+        deciding = moving(fit.prior_sensitivity)
+        belief = str(deciding.index[0]) if len(deciding) else "lapses"
+        if belief == fit.model.task.bias_name:
+            return "Comparisons about the one at which either answer is as likely."
+        if belief == "weber_fraction":
+            return "More trials of the same kind, or a belief about k that you can defend."
+        if belief == "lapses":
+            return (
+                "Easy comparisons, further from the standard than any so far: they alone determine "
+                "the lapses. Or state what is known of them, "
+                + argument("priors", {"lapse_low": 0.02, "lapse_high": 0.02})
+                + ", say."
+            )
+        return "More trials of the same kind, or a belief that you can defend."
     return None
 
 

@@ -19,9 +19,10 @@ from .effects import Effect
 from .encodings import ConstantNoise, Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
+from .prior_sensitivity import lapse_sensitivity, prior_sensitivity
 from .tasks import SignedChoice
 from .trials import STIMULI, Trials, needs_standards, sessions_of
-from .verdict import FitStatus, lapse_sensitivity
+from .verdict import FitStatus
 
 __all__ = ["Estimates", "Explanation", "by_session", "check_fit", "compared", "tails"]
 
@@ -362,6 +363,21 @@ class Estimates(Shown):
     def misfit(self) -> float:
         """Posterior-predictive p of how far the data lie from the curve: "levels" of `checks`."""
         return float(self.checked["p"].get("levels", 1.0))
+
+    @cached_property
+    def prior_sensitivity(self) -> pd.DataFrame:
+        """How far each belief moves the Weber fraction, a row each: counted twice, or half.
+
+        Columns are those of `weberwhisk.behaviour.prior_sensitivity.prior_sensitivity`.
+
+        Examples
+        --------
+        >>> from weberwhisk import fit_weber, simulate_trials
+        >>> table = fit_weber(simulate_trials(seed=1)).prior_sensitivity
+        >>> table.index.tolist(), table.loc["bias", "prior"]
+        (['weber_fraction', 'lapses', 'bias', 'answers'], 'cauchy(0, 0.7)')
+        """
+        return prior_sensitivity(self.model, self.posterior)
 
     @cached_property
     def lapse_sensitivity(self) -> pd.DataFrame:

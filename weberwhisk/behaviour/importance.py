@@ -1,10 +1,10 @@
 """The posterior of many parameters, where a grid would be too large, as weighted draws.
 
-In the normal scores of the priors a posterior has lighter tails than any Student's t, so that the
-weights of `_util.importance` are bounded. One t stands for each quarter of the Weber fractions: at
-small ones a bias in sds is wide and lapses are many, at large ones few. The draws are a quadrature
-rule: estimates and evidence depend on the data alone, and the seed of a fit is that of the draws
-resampled from them.
+In normal scores of priors, and the coordinates of biases, a posterior has lighter tails than any
+Student's t, so that the weights of `_util.importance` are bounded. One t stands for each quarter of
+the Weber fractions: at small ones a bias in sds is wide and lapses are many, at large ones few. The
+draws are a quadrature rule: estimates and evidence depend on the data alone, and the seed of a fit
+is that of the draws resampled from them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from .._util.importance import SobolPoints, WeightedDraws, adapted_draws
 from .._util.values import Array, Fields, Index, weighted_quantiles
-from .axes import log_lapses_possible
+from .axes import bias_prior, log_lapses_possible
 from .likelihood import Draws, WeberModel
 from .posteriors import fraction_curve, split
 
@@ -31,8 +31,8 @@ RESAMPLED = 8000  # draws of equal weight
 
 @dataclass(frozen=True)
 class Target:
-    """The density of vectors: free lead scores of an observer, its biases, and the scores of any
-    further parameters of a kind of model."""
+    """The density of vectors: free lead scores of an observer, the coordinates of its biases, and
+    the scores of any further parameters of a kind of model."""
 
     model: WeberModel
 
@@ -57,8 +57,15 @@ class Target:
         size = lead + biases + self.further
         mean, sd = np.zeros(size), np.ones(size)
         if biases:
-            mean[lead : lead + biases], sd[lead : lead + biases] = model.priors.moments("bias")
+            low, middle, high = model.bias_transform.coordinate([-1.0, 0.0, 1.0]).tolist()
+            mean[lead : lead + biases], sd[lead : lead + biases] = middle, 0.5 * (high - low)
         return mean, sd
+
+    @property
+    def _biases(self) -> slice:
+        """Which entries are coordinates of biases."""
+        lead = sum(self.model.free)
+        return slice(lead, lead + self.model.free_bias * self.model.n_groups)
 
     @cached_property
     def _prior(self) -> tuple[Index, Array, float]:
@@ -77,7 +84,8 @@ class Target:
         for part in (slice(i, i + PASS) for i in range(0, len(theta), PASS)):
             draws, x = self.parameters(theta[part]), theta[part][:, scores]
             prior = at_zero - 0.5 * np.einsum("ni,ij,nj->n", x, precision, x)
-            prior += self.model.log_bias_prior(draws.bias).sum(axis=-1)
+            if self.model.free_bias:
+                prior += bias_prior(self.model, theta[part][:, self._biases]).sum(axis=-1)
             possible = sum(self.model.lapses(draws.lapse_low, draws.lapse_high)) < 1
             out[part] = np.where(possible, prior + self.log_likelihood(draws), -np.inf)
         return out

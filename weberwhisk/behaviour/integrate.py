@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
-from .._util.values import Array
+from .._util.values import Array, Index
 from .._util.weights import line_error, log_error
 from .axes import lapse_prior, least_sd, score_prior
 from .likelihood import WeberModel
@@ -39,17 +39,17 @@ class PosteriorGrid:
 
     `axes`: scores of k (K,), coordinates of lapse_low (Lo,) and lapse_high (Hi,). `joint`: log
     density of these, biases integrated, (K, Lo, Hi), −inf where nothing was summed. `biases`: for
-    each group its masses, in blocks. `windows`: for each group the scores (K,) between which its
-    bias lies, and `bias_nodes` how many nodes were enough there. `log_evidence` is for the sequence
-    of answers; `error` estimates its absolute error, or that of the interval of k in sds if it is
-    larger.
+    each group its masses, in blocks. `windows`: for each group the coordinates (K,) between which
+    its bias lies, and `bias_nodes` (K,) how many nodes were enough there. `log_evidence` is for the
+    sequence of answers; `error` estimates its absolute error, or that of the interval of k in sds
+    if it is larger.
     """
 
     axes: tuple[Array, Array, Array]
     joint: Array
     biases: list[list[BiasMass]]
     windows: list[Span]
-    bias_nodes: int
+    bias_nodes: Index
     log_evidence: float
     error: float
 
@@ -133,7 +133,7 @@ def _summed(nodes: ChoiceNodes, tolerance: float) -> tuple[PosteriorGrid, Steps]
             error = max(error, shift / 3)
     windows = [span.at((slice(None), 0)) for span in nodes.windows.biases]
     widths = [np.where(s.kept, s.last - s.first, 0.0) for s in windows]
-    count = int(np.ceil(np.array(widths) / nodes.bias_steps.T).max(initial=0.0)) + 1
+    count = np.ceil(np.array(widths) / nodes.bias_steps.T).max(axis=0).astype(np.intp) + 1
     biases = [[BiasMass(b.nodes, b.mass / total) for b in before] for before in biases]
     log_evidence = float(logsumexp(joint) + log_cell)
     grid = PosteriorGrid(axes, joint, biases, windows, count, log_evidence, float(error))

@@ -28,7 +28,15 @@ from .encodings import (
 )
 from .formula import expanded
 from .located import over_places
-from .priors import PLAIN, TINY, LapseTransform, Priors, lapse_transform, priors_for
+from .priors import (
+    PLAIN,
+    TINY,
+    Priors,
+    ScoreTransform,
+    bias_transform,
+    lapse_transform,
+    priors_for,
+)
 from .session_bias import BiasedSessions, chunks
 from .tasks import Task
 from .trials import Cells, Trials, check_trials, needs_standards
@@ -154,7 +162,7 @@ class WeberModel(Fields):
         return draws
 
     @cached_property
-    def transforms(self) -> tuple[LapseTransform, ...]:
+    def transforms(self) -> tuple[ScoreTransform, ...]:
         """The coordinate of each lead parameter for a grid: its score, but for lapses."""
         doublings = round(np.log2(max(float(self.cells.n.sum()) / 3, 1.0)))
         return tuple(
@@ -163,6 +171,11 @@ class WeberModel(Fields):
             else PLAIN
             for name, free in zip(self.lead, self.free, strict=True)
         )
+
+    @cached_property
+    def bias_transform(self) -> ScoreTransform:
+        """The coordinate of every bias for a grid."""
+        return bias_transform(self.priors.of("bias")) if self.free_bias else PLAIN
 
     def at(self, name: str, coordinate: ArrayLike) -> Array:
         """A lead parameter at a coordinate of the grid."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from .._util.values import Array, Index
-from .axes import bias_at, least_bias_sds, score_prior, signals
+from .axes import bias_at, bias_prior, least_bias_sds, signals
 from .likelihood import WeberModel
 from .priors import TINY
 from .windows import Span, Steps, Windows, even_nodes
@@ -205,7 +205,7 @@ class ChoiceNodes:
         """
         model, cells = self.model, self.cells[g]
         low, high = self.low[low_at, high_at], self.high[low_at, high_at]
-        log_bias = score_prior(bias) if model.free_bias else np.zeros(bias.shape)
+        log_bias = bias_prior(model, bias)
         d, weight = (a[at][:, cells].T[..., None] for a in (self.d, self.weight))
         both = model.task.chance(d, weight * bias_at(model, bias))  # (C, P, B)
         rise = np.maximum(1 - low - high, 0.0).ravel()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from .._util import checks
 from .._util.refusals import Refusal
@@ -23,12 +24,24 @@ from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
 
 __all__ = [
-    "DEFAULTS", "PLAIN", "REACH", "SPREAD", "TINY", "LapseTransform", "Priors",
-    "check_distribution", "lapse_transform", "of_task", "priors_for",
+    "DEFAULTS",
+    "PLAIN",
+    "REACH",
+    "SPREAD",
+    "TINY",
+    "Priors",
+    "ScoreTransform",
+    "belief_named",
+    "bias_transform",
+    "check_distribution",
+    "lapse_transform",
+    "of_task",
+    "priors_for",
 ]  # fmt: skip
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass
+FARTHEST_BIAS = 1e3  # sds
 TINY = 1e-300
 DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(1, 20)"
 
@@ -36,9 +49,9 @@ _BELIEFS = {  # one object each, whose quantiles are tabulated once
     "weber_fraction": stats.lognorm(np.log(3.0), scale=0.1),
     "lapse": stats.beta(0.7, 20.0),
     "lapse by levels": stats.beta(0.5, 9.5),
-    "bias": stats.norm(0.0, 1.0),
+    "bias": stats.cauchy(0.0, 0.7),
     # "Different" must be said of a difference: a criterion below zero says it of everything.
-    "same-different": stats.lognorm(0.7, scale=1.3),
+    "same-different": stats.fisk(1.5, scale=1.6),
 }
 SPREAD = stats.halfnorm(scale=0.5)  # of ln k between animals
 
@@ -62,11 +75,13 @@ class Priors(Fields):
       squared error of ln k over a stated population of animals and designs, 0.28 over 2400 animals
       and 0.23 over 2400 held out, where Beta(0.3, 3) has 0.32 and 0.31 (`analyses/lapse_prior.md`);
       95 % intervals hold k in 93 and 96 %. Where one answer in ten is lost, k comes out a fifth too
-      high. `WeberFit.lapse_sensitivity` shows how far a fit depends on it. State what you know of
-      the animal.
-    - `bias`: standard normal in sds of the difference between the two signals. The proportion of
-      "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
-      `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
+      high. State what you know of the animal. `WeberFit.prior_sensitivity` shows how far a fit
+      depends on this belief, and on every other.
+    - `bias`: Cauchy, half of it within 0.7 sds of the difference between the two signals, as of a
+      standard normal, with tails that give way: an animal whose criterion lies 8 sds away, or to
+      whom a comparison 40 % off seems equal, may say so. Where k is small a bias is many sds, so
+      that a normal belief pulls k up (`analyses/prior_choice.md`). It is also the `criterion` of
+      yes/no tasks; that of the same–different task is log-logistic, median 1.6.
     - `effects`: by name; each effect of a fit brings its own (see `weberwhisk.behaviour.effects`).
 
     Every fit works in the normal scores of these priors, where each is a standard normal.
@@ -172,18 +187,23 @@ class Priors(Fields):
             return np.full(z.shape, float(prior))
         return quantiles(prior)(z)
 
+    def score(self, name: str, value: ArrayLike) -> Array:
+        """The normal score of a free parameter's value, good in both tails.
+
+        Examples
+        --------
+        >>> Priors().score("weber_fraction", [0.3, 0.9]).round(4)
+        array([1., 2.])
+        """
+        prior, inside = self.of(name), np.asarray(value, dtype=float)
+        if self.support(name)[0] == 0:
+            inside = np.maximum(inside, TINY)
+        below, above = ndtri(prior.cdf(inside)), -ndtri(prior.sf(inside))
+        return np.clip(np.where(below < 0, below, above), -REACH, REACH)
+
     def log_density(self, name: str, value: ArrayLike) -> Array:
         """Log-density of a free parameter."""
         return np.asarray(self.of(name).logpdf(value), dtype=float)
-
-    def moments(self, name: str) -> tuple[float, float]:
-        """Mean and sd of a free parameter; the middle half stands in where there are none."""
-        prior = self.of(name)
-        mean, sd = float(prior.mean()), float(prior.std())
-        if np.isfinite(mean) and np.isfinite(sd):
-            return mean, sd
-        low, middle, high = (float(q) for q in prior.ppf([0.25, 0.5, 0.75]))
-        return middle, (high - low) / 1.35
 
     def words(self, name: str) -> str:
         """The prior of a parameter, as one would write it.
@@ -217,13 +237,12 @@ def quantiles(prior: Any) -> Any:
     return lambda score: np.exp(log_value(score))
 
 
-class LapseTransform(NamedTuple):
+class ScoreTransform(NamedTuple):
     """A variance-stabilising coordinate t of a normal score z; z itself without `to_score`.
 
-    In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of
-    1, and a large one from the answers, over a width that shrinks with their number. The coordinate
-    counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of
-    N answers has an sd of 1/√N. Even nodes in t are then fine where they must be.
+    Where the prior alone informs of a parameter, it is known over a width of 1 in the normal score
+    z; where the answers do, over a width that is even in a coordinate of their own. t counts both,
+    so that even nodes in t are fine where they must be.
     """
 
     to_score: CubicSpline | None = None
@@ -237,7 +256,7 @@ class LapseTransform(NamedTuple):
     def coordinate(self, z: ArrayLike) -> Array:
         """t at z."""
         spline = self.to_coordinate
-        return np.asarray(z if spline is None else spline(np.clip(z, -REACH, REACH)))
+        return np.asarray(z if spline is None else spline(np.clip(z, spline.x[0], spline.x[-1])))
 
     def slope(self, t: ArrayLike) -> Array:
         """dz/dt at t."""
@@ -246,18 +265,43 @@ class LapseTransform(NamedTuple):
         return np.asarray(self.to_score(np.clip(t, *self.ends), 1))
 
 
-PLAIN = LapseTransform()
+PLAIN = ScoreTransform()
 
 
 @lru_cache(maxsize=256)
-def lapse_transform(prior: Any, doublings: int) -> LapseTransform:
-    """The coordinate for a lapse with that prior, and 2^doublings answers to learn it from."""
+def lapse_transform(prior: Any, doublings: int) -> ScoreTransform:
+    """The coordinate for a lapse with that prior, and 2^doublings answers to learn it from.
+
+    dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of N answers
+    has an sd of 1/√N.
+    """
     z = np.linspace(-REACH, REACH, 1441)
     arc = CubicSpline(z, 2 * np.arcsin(np.sqrt(np.clip(quantiles(prior)(z), 0.0, 1.0))))
     density = np.sqrt(1 + 2.0**doublings * arc(z, 1) ** 2)
     t = cumulative_simpson(density, x=z, initial=0.0)
     t = t - t[z.size // 2]
-    return LapseTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
+    return ScoreTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
+
+
+@lru_cache(maxsize=256)
+def bias_transform(prior: Any) -> ScoreTransform:
+    """The coordinate for a bias with that prior; its score itself for a normal one.
+
+    Answers know a bias b over a width that is the same wherever it lies, and the scores of a prior
+    with heavy tails crowd large ones together: dt² = dz² + dβ² with β = 3 asinh(b/3), even in b
+    near 0 and in ln b far from it. Nothing lies beyond 1000 sds.
+    """
+    if prior.dist.name == "norm":
+        return PLAIN
+    z = np.linspace(-REACH, REACH, 1441)
+    bias = quantiles(prior)(z)
+    z, bias = z[np.abs(bias) < FARTHEST_BIAS], bias[np.abs(bias) < FARTHEST_BIAS]
+    if z.size < 100:
+        return PLAIN
+    arc = CubicSpline(z, 3.0 * np.arcsinh(bias / 3.0))
+    t = cumulative_simpson(np.hypot(1.0, arc(z, 1)), x=z, initial=0.0)
+    t = t - np.interp(0.0, z, t)
+    return ScoreTransform(CubicSpline(t, z), CubicSpline(z, t), (float(t[0]), float(t[-1])))
 
 
 def check_distribution(name: str, prior: Any) -> None:
@@ -268,6 +312,40 @@ def check_distribution(name: str, prior: Any) -> None:
             checks.shown(prior),
             DISTRIBUTION,
         )
+
+
+def belief_named(text: str) -> Any:
+    """A belief by its text: a distribution as SciPy and `Priors.words` have it, or a number.
+
+    Raises
+    ------
+    ValueError
+        For what is neither.
+
+    Examples
+    --------
+    >>> belief_named("beta(1, 9)").mean(), belief_named("0.02")
+    (np.float64(0.1), 0.02)
+    """
+    example = "write 'beta(1, 9)' as scipy.stats has it, or a number such as 0.02"
+    try:
+        said = ast.parse(text.strip(), mode="eval").body
+        if not isinstance(said, ast.Call):
+            return float(ast.literal_eval(said))
+        family = said.func.attr if isinstance(said.func, ast.Attribute) else said.func.id  # type: ignore[attr-defined]
+        given = [float(ast.literal_eval(one)) for one in said.args]
+        more = {str(one.arg): float(ast.literal_eval(one.value)) for one in said.keywords}
+        kind = getattr(stats, family, None)
+        if not isinstance(kind, stats.rv_continuous):
+            raise Refusal("SciPy has no such continuous distribution", repr(family), example)
+        made = kind(*given, **more)
+        if not np.isfinite(made.median()):
+            raise Refusal("A distribution does not have these parameters", repr(text), example)
+    except Refusal:
+        raise
+    except (SyntaxError, ValueError, TypeError, AttributeError) as error:
+        raise Refusal("A belief is a distribution or a number", repr(text), example) from error
+    return made
 
 
 DEFAULTS = Priors()

@@ -11,8 +11,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter
 
-from .._util.values import Array, Fields
-from .axes import bias_at
+from .._util.values import Array, Fields, Index
+from .axes import bias_at, bias_prior
+from .importance import Target
 from .integrate import PosteriorGrid, density_of, integrate, log_marginal
 from .likelihood import Draws, WeberModel
 from .posteriors import find_mode, named_values
@@ -40,6 +41,10 @@ class QuadraturePosterior(Fields):
 
     def recomputed(self, model: WeberModel) -> QuadraturePosterior:
         return self.integrated(model)
+
+    @property
+    def target(self) -> Target:
+        return Target(self.model)
 
     @property
     def log_evidence(self) -> float:
@@ -128,8 +133,12 @@ class QuadraturePosterior(Fields):
             return {}
         node = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
         point = np.array([a[i] for a, i in zip(self.grid.axes, node, strict=True)])
-        names = self.model.group_names if self.model.free_bias else ()
-        biases = [float(self.quantile(name, 0.5)) for name in names]
+        of_groups = self.grid.biases if self.model.free_bias else []
+        biases = [
+            sum(float((nodes * mass).sum()) for nodes, mass in blocks)
+            / sum(float(mass.sum()) for _, mass in blocks)
+            for blocks in of_groups
+        ]
         start = np.r_[self._scores(point)[np.flatnonzero(self.model.free)], biases]
         return named_values(self.model, find_mode(self.model, start)[0])
 
@@ -192,28 +201,33 @@ class QuadraturePosterior(Fields):
         if not m.free_bias:
             return np.full((len(t), m.n_groups), m.fixed_bias())
         k, effects, low, high = m.at_scores(self._scores(t))
-        first, last = self._bias_span(t[:, 0])
-        share = np.linspace(0, 1, 4 * (self.grid.bias_nodes - 1) + 1)
+        first, last, count = self._bias_span(t[:, 0])
         out = np.empty(first.shape)
-        rows = max(1, 40_000 // (share.size * max(m.cells.n.size, 1)))
-        for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
+        order, done = np.argsort(count, kind="stable"), 0
+        while done < k.size:
+            fine = 4 * (count[order[done]] - 1) + 1
+            i = order[done : done + max(1, 40_000 // int(fine * max(m.cells.n.size, 1)))]
+            done += i.size
+            share = np.linspace(0, 1, int(4 * (count[i[-1]] - 1) + 1))
             step = (last[i] - first[i]) * share[1]
             score = first[i, None] + (last - first)[i, None] * share[:, None]
             by_cell = m.cell_log_likelihood(
                 k[i, None], low[i, None], high[i, None], bias_at(m, score), effects[i, None]
             )
-            log_mass = by_cell @ m.membership - 0.5 * score**2
+            log_mass = by_cell @ m.membership + bias_prior(m, score)
             below = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
             node = (below < rng.random((len(step), 1, m.n_groups)) * below[:, -1:]).sum(axis=1)
             at = np.take_along_axis(score, node[:, None], axis=1)[:, 0]
             out[i] = at + step * (rng.random(at.shape) - rng.random(at.shape))
         return bias_at(m, out)
 
-    def _bias_span(self, k: Array) -> tuple[Array, Array]:
-        """Between which scores each bias lies, (M, G), by the nodes of k on either side."""
+    def _bias_span(self, k: Array) -> tuple[Array, Array, Index]:
+        """Between which coordinates each bias lies, (M, G), and how many nodes were enough there,
+        (M,), by the nodes of k on either side."""
         nodes = self.grid.axes[0]
         left = np.clip(np.searchsorted(nodes, k, side="right") - 1, 0, nodes.size - 1)
         right = np.minimum(left + 1, nodes.size - 1)
         first = [np.minimum(s.first[left], s.first[right]) for s in self.grid.windows]
         last = [np.maximum(s.last[left], s.last[right]) for s in self.grid.windows]
-        return np.stack(first, axis=1), np.stack(last, axis=1)
+        count = np.maximum(self.grid.bias_nodes[left], self.grid.bias_nodes[right])
+        return np.stack(first, axis=1), np.stack(last, axis=1), count

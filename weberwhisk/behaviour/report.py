@@ -16,6 +16,7 @@ from .criticism import advice as next_fit
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .estimates import Estimates
+from .prior_sensitivity import ANSWERS, sentence_of
 from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
@@ -112,12 +113,12 @@ def _limits(fit: Estimates) -> list[str]:
             + " would make it a ratio."
         )
     sensitive = fit.status.ok or fit.status is FitStatus.PRIOR_DEPENDENT
-    if sensitive and (change := fit.lapse_sensitivity["change"]).abs().max() >= 0.05:
-        lines.append(
-            "What is believed about lapses moves the Weber fraction: by "
-            f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
-            "lapses to one that never does. Easy trials determine the lapses."
-        )
+    if sensitive:
+        table = fit.prior_sensitivity.drop(index=ANSWERS, errors="ignore")
+        change = table[["change_twice", "change_half"]].astype(float).abs().max(axis=1)
+        matter = table[change >= 0.05]
+        said = [sentence_of(str(belief), row) for belief, row in matter.iterrows()]
+        lines += [line for line in said if line not in lines]
     if fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber":
         lines.append(
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
@@ -198,6 +199,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
         "parameters": fit.summary().to_dict(orient="index"),
         "thresholds": fit.threshold().to_dict("records"),
         "points_of_subjective_equality": _equality(fit),
+        "prior_sensitivity": fit.prior_sensitivity.reset_index().to_dict("records"),
         "lapse_sensitivity": fit.lapse_sensitivity.to_dict("records"),
         "log_evidence": fit.log_evidence,
         "error": fit.posterior.error,

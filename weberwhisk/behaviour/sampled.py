@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.values import Array, Fields
+from .importance import Target
 from .likelihood import Draws, WeberModel
 from .posteriors import (
     find_mode,
@@ -58,6 +59,10 @@ class SampledPosterior(Fields):
 
     def recomputed(self, model: WeberModel) -> None:
         return None
+
+    @property
+    def target(self) -> Target:
+        return Target(self.model)
 
     def _column(self, name: str) -> Array:
         named = self.sample.named(self.model)

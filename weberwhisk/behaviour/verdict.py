@@ -1,24 +1,19 @@
-"""What a fit is worth: did the data move the posterior, which end of it is the prior's, and how
-far it depends on what is believed about lapses."""
+"""What a fit is worth: did the data move the posterior, and which end of it is the prior's."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from enum import Enum
-from typing import Any
 
 import numpy as np
-import pandas as pd
-from scipy import stats
 
-from .._util.campaign import one_blas_thread
 from .._util.refusals import argument
 from .._util.values import Array
 from .integrate import integrate
 from .likelihood import WeberModel
 from .posteriors import WeberPosterior
 
-__all__ = ["FitStatus", "lapse_sensitivity", "strength", "too_few_kinds", "verdict"]
+__all__ = ["FitStatus", "strength", "too_few_kinds", "verdict"]
 
 
 class FitStatus(Enum):
@@ -69,8 +64,8 @@ class FitStatus(Enum):
         "prior's"
     )
     PRIOR_DEPENDENT = (
-        "the Weber fraction depends on what is believed beforehand, of lapses above all: the "
-        "answers alone do not determine it"
+        "the Weber fraction depends on what is believed beforehand: the answers alone do not "
+        "determine it"
     )
     GIVEN = "the Weber fraction was given, not fitted"
     DETERMINED = "the data determine the Weber fraction, at both ends of its interval"
@@ -214,36 +209,6 @@ def _open_ends(
         return bool(within and np.interp(end, axis, likelihood) > best + np.log(likely))
 
     return is_open(-far), is_open(far)
-
-
-@one_blas_thread
-def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFrame:
-    """Median and 95 % interval of k with other lapse priors than those of the fit.
-
-    Lapses and a poor Weber fraction explain the same errors, so the belief about lapses moves k, by
-    less the more easy trials there are. Rows `lapses`: "as fitted", "never", "seldom" (Beta(1, 20))
-    and "often" (Beta(1, 9)), the first alone where the Weber fraction is fixed, the task has no
-    free lapse, or the fit is by emcee or with states; `log_bayes_factor` is that of each belief
-    against the fit's, and `change` is relative to the fit.
-    """
-    levels = [0.5, 0.025, 0.975]
-    fitted = list(posterior.quantile("weber_fraction", levels))
-    rows = [("as fitted", *fitted, 0.0)]
-    free = [n for n in model.task.lapses if n in model.names]
-    if free and "weber_fraction" in model.names:
-        beliefs = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
-        for words, belief in beliefs.items():
-            changed: dict[str, Any] = dict.fromkeys(free, belief)
-            priors = replace(model.priors, **changed)
-            under = posterior.recomputed(replace(model, priors=priors).merged())
-            if under is None or under.log_evidence is None or posterior.log_evidence is None:
-                break
-            factor = under.log_evidence - posterior.log_evidence
-            rows.append((words, *under.quantile("weber_fraction", levels), factor))
-    columns = ["lapses", "weber_fraction", "lower", "upper", "log_bayes_factor"]
-    table = pd.DataFrame(rows, columns=columns)
-    table["change"] = table["weber_fraction"] / fitted[0] - 1
-    return table
 
 
 def strength(log_bayes_factor: float) -> str:

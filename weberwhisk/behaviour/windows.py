@@ -1,7 +1,7 @@
 """Where the posteriors of data sets lie on the axes, and how fine the steps of a pass are there.
 
-At each node of the score of k every data set has a window in either lapse and in the score of every
-group's bias. A pass over the nodes narrows them to what is near the best node.
+At each node of the score of k every data set has a window in either lapse and in the coordinate of
+every group's bias. A pass over the nodes narrows them to what is near the best node.
 """
 
 from __future__ import annotations
@@ -100,8 +100,9 @@ def whole_prior(model: WeberModel, count: int) -> Windows:
         first, last = transform.coordinate([-REACH_LAPSES, REACH_LAPSES]) * free
         lapses.append(span(float(first), float(last), 1, count))
     low, high = lapses
-    k, bias = REACH_SCORES * model.free[0], REACH_SCORES * model.free_bias
-    biases = tuple(span(-bias, bias, 1, count) for _ in range(model.n_groups))
+    k = REACH_SCORES * model.free[0]
+    ends = model.bias_transform.coordinate([-REACH_SCORES, REACH_SCORES]) * model.free_bias
+    biases = tuple(span(*ends.tolist(), 1, count) for _ in range(model.n_groups))
     return Windows(np.zeros(1), span(-k, k, count), low, high, biases)
 
 

@@ -49,10 +49,10 @@ def zoomed(
             span.ends for span in (windows.fraction, windows.low, windows.high, windows.biases[0])
         )
     ]
-    # The least sd that the score of any bias can have given the rest.
+    # The least sd that the coordinate of any bias can have given the rest.
     middle = np.linspace(-2.0, 2.0, 9)
     drive = signals(model, middle * model.free[0])
-    narrowest = float(least_bias_sds(model, *drive, middle).min())
+    narrowest = float(least_bias_sds(model, *drive, model.bias_transform.coordinate(middle)).min())
     least = steps._replace(bias=steps.bias * narrowest)
     coarsest = max(width / step for width, step in zip(widths, least, strict=True))
     # Nothing to zoom into where all is fixed, or within a few steps.

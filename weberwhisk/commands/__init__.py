@@ -32,15 +32,15 @@ import weberwhisk as ww
 from .._util import checks
 from .._util.output import Run, to_json
 from .._util.output import shown as progress_shown
-from .._util.refusals import Advice, Call, Named, Refusal, Remedy, Typed, rendered
+from .._util.refusals import Advice, Call, Named, Refusal, Remedy, Typed, in_code, rendered
 from .._util.values import Array, pd
 
 __all__ = [
     "CUES", "NO_SHAPE", "SCENES", "SPELLED", "Number", "Shape", "Text", "Texts", "a_number",
-    "a_seed", "as_asked", "as_options", "chosen_trials", "command", "describe",
-    "encoding_options", "enough_draws",
-    "finish", "numbers", "one_angle", "option", "pairs", "progress", "show", "the_cue", "the_scene",
-    "the_whisker", "values_of", "weber_fractions", "whisker_line",
+    "a_seed", "as_asked", "as_options", "beliefs", "chosen_trials", "command", "describe",
+    "encoding_options", "enough_draws", "finish", "numbers", "one_angle", "option", "pairs",
+    "progress", "show", "the_cue", "the_scene", "the_whisker", "values_of", "weber_fractions",
+    "whisker_line",
 ]  # fmt: skip
 
 
@@ -154,6 +154,13 @@ _SHARED: dict[str, Any] = {
     "scheduler": Annotated[
         str | None, "A dask.distributed scheduler, tcp://… (extra: cluster).", _of("Workers")
     ],
+    "prior": Annotated[
+        Texts,
+        "Belief about weber_fraction, lapse_low, lapse_high, bias or criterion, or an effect: a "
+        "distribution as scipy.stats has it, bias='norm(0, 2)', or a number that is known; may "
+        "be repeated.  [default: those that the report names]",
+        {"metavar": "NAME=BELIEF"},
+    ],
     "seed": Annotated[int, "Seed of the draws.", _of("Results", parser=a_seed, metavar="NUMBER")],
     "out": Annotated[
         Path | None, "Folder for the tables, figures and record.", _of("Results", metavar="FOLDER")
@@ -173,12 +180,13 @@ def _pairs(value: Mapping[str, Any]) -> list[str]:
     return [f"{name}={quote('<its name>' if v is ... else str(v))}" for name, v in value.items()]
 
 
-def _lapse_prior(priors: Mapping[str, Any]) -> str | None:
-    """The prior of lapses; where they are given, one that is as sure to be near."""
-    prior = priors.get("lapse_low")
-    if isinstance(prior, float):
-        return f"1,{1 / prior:g}"
-    return None if prior is None else ",".join(f"{number:g}" for number in prior.args)
+def _beliefs(priors: Mapping[str, Any]) -> list[str]:
+    """Each belief as `--prior` takes it."""
+    texts = {
+        name: prior if isinstance(prior, str) else in_code(prior).removeprefix("scipy.stats.")
+        for name, prior in priors.items()
+    }
+    return [f"{name}={quote(text)}" for name, text in texts.items()]
 
 
 class Spelled(NamedTuple):
@@ -203,7 +211,7 @@ SPELLED = {
     "units": Spelled("unit", _pairs),
     "choice_labels": Spelled("label", _pairs),
     "effects": Spelled("effect", _effects),
-    "priors": Spelled("lapse_prior", _lapse_prior),
+    "priors": Spelled("prior", _beliefs),
     "curvature": Spelled("curvature_per_m"),
     "curved": Spelled("curvature_per_m", lambda curved: "own" if curved else "0"),
     "together": Spelled("apart", lambda together: None if together else ""),
@@ -573,6 +581,15 @@ def _as_number(value: Any) -> str:
     except ValueError:
         return str(value)
     return f"{number:.0f}" if number.is_integer() else str(value)
+
+
+def beliefs(texts: Texts, example: str = "bias='norm(0, 2)'") -> dict[str, Any]:
+    """The values of ``--prior`` by parameter; `levels` alone is that of the Weber fraction."""
+    from ..behaviour.priors import belief_named
+
+    texts = ["weber_fraction=levels" if text == "levels" else text for text in texts or ()]
+    said = pairs("--prior", texts, example)
+    return {name: t if t == "levels" else belief_named(t) for name, t in said.items()}
 
 
 def option(parameter: str) -> str:

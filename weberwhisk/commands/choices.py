@@ -215,14 +215,18 @@ def fit(
     ] = 1,
     lapse_prior: Annotated[
         opt.Text,
-        "Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
+        "Belief about the lapses at either end, Beta(A, B): short for --prior of both.  "
+        "[default: 0.7,20]",
         {"metavar": "A,B"},
     ] = None,
     prior: Annotated[
-        opt.Text,
-        "levels: believe that the levels shown bracket the thresholds, as when they were chosen "
-        "for the animal; not to compare designs, nor for data collected in stages.  [default: a "
-        "median of 0.1, whatever the levels]",
+        opt.Texts,
+        "Belief about weber_fraction, lapse_low, lapse_high, bias or criterion, or an effect: a "
+        "distribution as scipy.stats has it, bias='norm(0, 2)', or a number that is known; may "
+        "be repeated. weber_fraction=levels: the levels shown bracket the thresholds, as when they "
+        "were chosen for the animal; not to compare designs, nor for data collected in stages.  "
+        "[default: those that the report names]",
+        {"metavar": "NAME=BELIEF"},
     ] = None,
     law: Annotated[
         bool, "Test Weber's law against noise as a power of the stimulus, and against a floor."
@@ -265,10 +269,7 @@ def fit(
                 remedy="add --identity C2, say",
             )
         trials = ww.behaviour.with_distances(trials, distances, encoding)
-    priors = _lapse_priors(lapse_prior, trials)
-    if prior is not None:
-        belief = checks.one_of("--prior", prior, ("levels",))
-        priors = {"weber_fraction": belief} | (priors or {})
+    priors = _lapse_priors(lapse_prior, trials) | opt.beliefs(prior) or None
     if together:
         if effect or law or method or states != 1:
             raise Refusal(
@@ -355,14 +356,17 @@ def _of_log(
     return replace(trials, source=str(file))
 
 
-def _fit_of_log(log: Path | None, hypothesis: Hypothesis, of: Magnitude | None) -> str:
+def _fit_of_log(
+    log: Path | None, hypothesis: Hypothesis, of: Magnitude | None, prior: opt.Texts
+) -> str:
     """The command that fits what a log keeps as `next` does; none without a log."""
     encoded = opt.encoding_options(hypothesis.encoding)
     if log is None or encoded is None:
         return ""
     of_scale = f" --scale log --log-unit {of.log_unit}" if of is not None and of.is_log else ""
     bias = "" if hypothesis.bias == "shared" else f" --bias {shlex.quote(hypothesis.bias)}"
-    return f"weberwhisk fit {shlex.quote(str(log))}{bias}{of_scale}{encoded}"
+    believed = "".join(f" --prior {shlex.quote(text)}" for text in prior or ())
+    return f"weberwhisk fit {shlex.quote(str(log))}{bias}{believed}{of_scale}{encoded}"
 
 
 def _with_millimetres(file: Path, columns: dict[str, str]) -> dict[str, str]:
@@ -376,9 +380,9 @@ def _with_millimetres(file: Path, columns: dict[str, str]) -> dict[str, str]:
         return {}
 
 
-def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
+def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any]:
     if text is None:
-        return None
+        return {}
     from scipy import stats
 
     shape = numbers("--lapse-prior", [text])
@@ -474,6 +478,7 @@ def next_trials(
     most: Annotated[int | None, "Stop after so many trials."] = None,
     bias: Annotated[str, "per-standard, shared or none (if answers are scored)."] = "per-standard",
     task: Annotated[str, "As for simulate."] = "2AFC",
+    prior: opt.Texts = None,
     log: Annotated[Path | None, "Keeps all trials, to go on later.", {"metavar": "FILE"}] = None,
     seed: int = 1,
     out: Path | None = None,
@@ -486,6 +491,7 @@ def next_trials(
     """
     inputs = opt.as_asked(locals(), "log") | {"seed": seed}
     from ..behaviour import CueEncoding, IdentityEncoding, task_named
+    from ..behaviour.priors import PARAMETERS
     from ..behaviour.trials import STIMULI
     from ..design import (
         BayesianPlacer,
@@ -494,6 +500,7 @@ def next_trials(
         Scheme,
         lattice,
         magnitude_named,
+        with_priors,
     )
     from ..design.session import Session, converse
 
@@ -535,6 +542,13 @@ def next_trials(
         offsets = zip(scheme.offsets, lattice(of_cylinder, at, limits).offsets, strict=True)
         both = [sorted({*a, *b}) for a, b in offsets]
         scheme = Scheme(scheme.standards, both, magnitude=scheme.magnitude)
+    if prior:
+        beliefs = opt.beliefs(prior)
+        for parameter in beliefs:
+            checks.one_of("--prior", parameter, (*PARAMETERS, "criterion"))
+        if "criterion" in beliefs:
+            beliefs["bias"] = beliefs.pop("criterion")
+        hypotheses = list(with_priors(hypotheses, **beliefs))
     placer = BayesianPlacer(
         hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
         easy_share=easy_share, width=None if width_percent is None else width_percent / 100,
@@ -542,9 +556,11 @@ def next_trials(
     )  # fmt: skip
     suffix = "" if encoding is None else "_mm"
     suffix = of.suffix if of is not None else suffix
-    repeat = _fit_of_log(log, hypotheses[0], of)
+    repeat = _fit_of_log(log, hypotheses[0], of, prior)
     # Another --most continues the same file.
     question = {name: value for name, value in inputs.items() if name != "most"}
+    if not prior:
+        del question["prior"]  # files from before there was such an option
     with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
         for line in converse(session, sys.stdin, suffix, repeat):
             print(line, flush=True)

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
 from .._util.values import Array, density_quantiles
-from ..behaviour.axes import bias_at, lapse_prior, score_prior
+from ..behaviour.axes import bias_at, bias_prior, lapse_prior, score_prior
 from ..behaviour.encodings import UnitEncodings
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY
@@ -48,7 +48,8 @@ class Axes:
         """Even nodes of k, either lapse and every bias over all of their priors."""
         far = -FAR, FAR
         lapses = [tuple(t.coordinate(far).tolist()) for t in model.transforms[-2:]]
-        ends: list[Any] = [far, *lapses, *[far] * model.n_groups]
+        of_bias = tuple(model.bias_transform.coordinate(far).tolist())
+        ends: list[Any] = [far, *lapses, *[of_bias] * model.n_groups]
         # So many leave quantiles within 0.02 posterior sd of the fit's
         # (`tests/benchmarks/bench_adaptive.py`).
         counts = [21, 14, 14, *[21] * model.n_groups]
@@ -85,7 +86,8 @@ class BeliefGrid:
         of_lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
         self.prior = np.exp(score_prior(axes.k))[:, None] * of_lapses * np.prod(steps[:3])
         of_biases = zip(axes.bias, steps[3:], strict=True)
-        self.prior_bias = [np.exp(score_prior(b)) * step for b, step in of_biases]
+        self.prior_bias = [np.exp(bias_prior(model, b)) * step for b, step in of_biases]
+        self.bias_ends = model.bias_transform.coordinate([-FAR, FAR])
         shape = axes.k.size, axes.bias[0].size, self.low.size
         self._logs = [np.zeros(shape, dtype=np.float32) for _ in axes.bias]
 
@@ -254,7 +256,7 @@ class Belief:
             (axes.k, self.mass_k, far),
             (axes.low, sheet.sum(axis=1), self._grid.lapse_ends[0]),
             (axes.high, sheet.sum(axis=0), self._grid.lapse_ends[1]),
-            *((b, m[..., 0].sum(axis=0), far)
+            *((b, m[..., 0].sum(axis=0), self._grid.bias_ends)
               for b, m in zip(axes.bias, self._moments, strict=True)),
         ]]  # fmt: skip
         if all(serves for serves, _ in refitted):

@@ -78,8 +78,9 @@ class Hypothesis(Fields):
     def __post_init__(self) -> None:
         checked_encoding(self.encoding)
         checks.kind(
-            "priors", self.priors, "Priors", "moments", "give ww.behaviour.Priors(...), or leave it"
-        )
+            "priors", self.priors, "Priors", "is_fixed",
+            "give ww.behaviour.Priors(...), or leave it",
+        )  # fmt: skip
         checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
             raise Refusal(
