@@ -231,3 +231,21 @@ def test_what_is_no_number_is_no_reading(reading: list[Any], part: str) -> None:
         ww.posterior(tap, reading)
     with pytest.raises(ValueError, match="a reading or more, got none; give one row a touch"):
         ww.touches(tap, [])
+
+
+@pytest.mark.parametrize(
+    ("angle", "written"),
+    [
+        (6.0, "np.radians(6)"),  # of a small tangent, as the next
+        (-9.0, "np.radians(-9)"),
+        (20.0, "np.radians(20)"),
+        (45.0, "np.radians(30)"),
+        (-180.0, "np.radians(-30)"),
+        (0.6, "np.radians(30)"),
+    ],
+)
+def test_a_friction_angle_in_degrees_is_refused_with_what_can_be_written(angle, written):
+    with pytest.raises(ValueError, match="angle must be radians up to 30°") as caught:
+        cues.Friction(cues.ForceMap(), angle)
+    assert f"write {written} " in str(caught.value)
+    assert cues.Friction(cues.ForceMap(), eval(written)).angle is not None

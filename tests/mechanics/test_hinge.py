@@ -118,6 +118,19 @@ def test_the_range_ends_where_the_angle_stops_to_grow():
     assert ForwardModel(hinged(SOFT / 50)).limit(np.array([5e-3])) == np.pi
 
 
+def test_an_unknown_hinge_ends_at_half_a_turn_of_its_median_and_in_proportion_on_others():
+    """Beside the largest sum of what bends the whisker and what the hinge turns, on a fine grid."""
+    median, r = SOFT / 50, 5e-3
+    inner = np.linspace(0, 1, 4001) * elastica.flick_past(PLAIN, r).deflection_angle
+    moment = np.nan_to_num(elastica.press(PLAIN, r, inner).moment)
+    stiffness = median * np.array([1.0, 0.3, 0.8, 2.0])
+    largest = np.max(inner + moment / stiffness[:, None], axis=1)
+    cue = cues.UnknownHinge(cues.ForceMap(), 0.3)
+    contact = np.column_stack([np.full(4, r), np.ones(4), stiffness])
+    limit = cue.forward(hinged(median), contact).limit(contact[:, 0])
+    np.testing.assert_allclose(limit, np.pi * largest / largest[0], rtol=1e-5)
+
+
 @pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])  # 4, 45 s
 def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers(spread):
     """Of a hinge that is known, and of one whose stiffness has a log-normal prior."""

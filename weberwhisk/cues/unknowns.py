@@ -174,11 +174,10 @@ class Friction(_Wrapped):
             angle = number("angle", angle, "give radians, such as -0.2, or None where unknown")
             # Angles themselves: the tangent of 9, which is 9° passed as radians, is small.
             if abs(angle) > _LARGEST_FRICTION:
-                raise Refusal(
-                    "angle must be up to 30° either way",
-                    f"{angle:g} rad",
-                    f"write radians, such as np.radians({angle:g}) of degrees",
-                )
+                remedy = f"write np.radians({angle:g}) if those are degrees"
+                if not 1 < abs(angle) <= 30:  # advice must not be refused itself
+                    remedy = f"write np.radians({np.copysign(30, angle):g}) at most"
+                raise Refusal("angle must be radians up to 30° either way", f"{angle:g}", remedy)
         largest = positive_number("coefficient", coefficient, "give µ, such as 0.48")
         if np.arctan(largest) > _LARGEST_FRICTION:
             raise Refusal(
@@ -263,6 +262,12 @@ class UnknownHinge(_Wrapped):
     ValueError
         For a cue that takes no hinge, and a spread that is not positive; for a whisker without a
         hinge where it is used.
+
+    Notes
+    -----
+    Next to the base, where a push turns the hinge alone, contact is lost at half a turn on the
+    hinge of median stiffness, and at the same share of the largest deflection on any other: on
+    a softer hinge that is beyond half a turn.
 
     Examples
     --------
