@@ -30,6 +30,7 @@ from weberwhisk.cues import (
     Vibration,
 )
 from weberwhisk.inference import tree
+from weberwhisk.inference.coordinates import is_discontinuous
 from weberwhisk.inference.descent import cell_sums
 from weberwhisk.receptors import (
     Afferents,
@@ -199,7 +200,9 @@ def test_priors_of_all_kinds_are_summed(prior, r, theta):
     [
         ("radial_distance", [1.0, 5.0, 0.0, 4.0], 0.01),
         ("radial_distance", [9.0, 1.0, 0.0, 9.0], 0.01),
+        ("radial_distance", [0.0, 5.0, 5.0, 5.0, 0.0], 0.01),  # of outer bins without a place
         ("deflection_angle", [1.0, 5.0, 2.0], 0.15),
+        ("deflection_angle", [0.0, 0.0, 3.0], 0.15),
     ],
 )
 def test_a_histogram_is_no_prior_of_distance_or_angle(name, shares, width):
@@ -214,6 +217,47 @@ def test_a_histogram_is_no_prior_of_distance_or_angle(name, shares, width):
     observer = ww.Observer(W, ForceMap(), prior={name: smooth})
     p = ww.posterior(observer, observer.noise.sample(observer.signals([25e-3, 0.2])[0], 3))
     assert p.status is Status.CONVERGED
+
+
+class Mixed(stats.rv_continuous):
+    """Half of the mass even over 10 to 20 mm, the other over 10 to 40 mm; nominally from 0 on."""
+
+    low, wide = stats.uniform(0.01, 0.01), stats.uniform(0.01, 0.03)
+
+    def _pdf(self, x):
+        return (self.low.pdf(x) + self.wide.pdf(x)) / 2
+
+    def _cdf(self, x):
+        return (self.low.cdf(x) + self.wide.cdf(x)) / 2
+
+    def _ppf(self, p):
+        place = np.array([0.01, 0.02, 0.04])
+        return np.interp(p, self._cdf(place), place)
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        Mixed(a=0.01, b=0.04)(),  # leaps at 20 mm
+        Mixed(a=0.0, b=0.05)(),  # and where its support goes on
+        stats.pearson3(-2.0, 0.03, 0.005),  # exponential up to 35 mm, of a support without an end
+    ],
+)
+def test_a_density_that_leaps_inside_its_support_is_no_prior(prior):
+    with pytest.raises(ValueError, match="must have a density without steps"):
+        ww.Observer(W, ForceMap(), prior={"radial_distance": prior})
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        stats.uniform(0.01, 0.03), stats.expon(0.01, 0.01), stats.truncnorm(-1, 2, 0.03, 0.01),
+        stats.gamma(0.5, 0.0, 0.02), stats.beta(0.5, 0.5, 0.0, 0.05), stats.lognorm(3.0, 0, 0.02),
+        stats.triang(0.5, 0.0, 0.05), stats.norm(0.03, 0.001), stats.cauchy(0.03, 0.001),
+    ],
+)  # fmt: skip
+def test_a_density_may_leap_where_its_support_ends(prior):
+    assert not is_discontinuous(prior)
 
 
 @pytest.mark.parametrize(

@@ -376,9 +376,18 @@ def is_discontinuous(distribution: Any) -> bool:
     >>> histogram = stats.rv_histogram(([1, 3, 0, 2], [0.0, 1.0, 2.0, 3.0, 4.0]))()
     >>> [is_discontinuous(d) for d in (histogram, stats.norm(), stats.uniform())]
     [True, False, False]
+    >>> is_discontinuous(stats.rv_histogram(([0, 1, 0], [0.0, 1.0, 2.0, 3.0]))())
+    True
     """
     ends = distribution.ppf(np.linspace(1e-6, 1 - 1e-6, 1025))
-    value = np.unique(np.concatenate([ends, np.linspace(ends[0], ends[-1], 2049)]))
+    width = ends[-1] - ends[0]
+    # Where a support goes on in which there is no mass, the density may have leapt to 0.
+    margin = np.linspace(0.0, 1.0, 65)[1:-1]
+    low, high = distribution.support()
+    below = ends[0] - margin * min(ends[0] - low, width)
+    above = ends[-1] + margin * min(high - ends[-1], width)
+    value = np.concatenate([below, ends, np.linspace(ends[0], ends[-1], 2049), above])
+    value = np.unique(value)
 
     with np.errstate(divide="ignore", invalid="ignore"):
         # Between narrow peaks a smooth density underflows: 60 nats below the highest is nothing.
