@@ -16,12 +16,12 @@ from audit import (
     readings_of,
     shifted,
 )
-from scipy import stats
+from scipy import optimize, stats
 from scipy.special import logit, logsumexp
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk import Status, cues
+from weberwhisk import Status, cues, mechanics
 from weberwhisk.cues import (
     BalanceOfMoments,
     Compliance,
@@ -537,3 +537,78 @@ def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     drawn = [p.to_arviz(draws=5).posterior["radial_distance"].values for p in (usual, bound)]
     assert np.allclose(*drawn)
     assert max(most) < 30_000_000
+
+
+def plain_sum_of_wedge(observer, reading, prior, low, count):
+    """Mean and sd of the distance, and ln of the evidence, by a plain sum from `low` to the end.
+
+    The angles of each distance are those from the least of the prior to the fold.
+    """
+    least, most = prior.support()
+    high = optimize.brentq(
+        lambda r: mechanics.flick_past(W, r).deflection_angle - least, 5e-3, 0.9999 * W.length
+    )
+    r = low + (np.arange(count) + 0.5) / count * (high - low)
+    width = np.minimum(mechanics.flick_past(W, r).deflection_angle, most) - least
+    angle = least + width[:, None] * (np.arange(count // 3) + 0.5) / (count // 3)
+    bent = mechanics.press(W, r[:, None], angle)
+    signals = np.stack([bent.moment, bent.axial_force], axis=-1)
+    log = observer.noise.log_likelihood(reading, signals) + prior.logpdf(angle)
+    mass = np.exp(log) * (width * (high - low) / (count * (count // 3)))[:, None]
+    weight = mass.sum(axis=1) / mass.sum()
+    mean = weight @ r
+    return mean, np.sqrt(weight @ (r - mean) ** 2), np.log(mass.sum())
+
+
+@pytest.mark.parametrize(
+    "prior", [stats.uniform(0.3, 0.3), stats.uniform(0.1, 0.4), stats.truncnorm(-1, 3, 0.5, 0.1)]
+)
+def test_a_prior_of_the_angle_may_begin_above_the_fold(prior):
+    """Distances end where the fold comes down to the least angle: there angles are a wedge."""
+    observer = ww.Observer(W, ForceMap(), ww.receptors.Weber(0.1), {"deflection_angle": prior})
+    end = observer.reach[1]
+    least = prior.support()[0]
+    assert mechanics.flick_past(W, end).deflection_angle == pytest.approx(least, rel=1e-6)
+    rng = np.random.default_rng(7)
+    r = end * (1 - [0.008, 0.012, 0.02, 0.04] * rng.uniform(0.5, 1.0, 4))
+    fold = np.minimum(mechanics.flick_past(W, r).deflection_angle, prior.support()[1])
+    angle = least + (fold - least) * rng.uniform(0.1, 0.9, 4)
+    p = ww.posterior(observer, observer.read(np.stack([r, angle], axis=-1), seed=3))
+    assert not (p.status == Status.IMPRECISE).any()
+    for i, reading in enumerate(p.reading):
+        mean, sd, log_evidence = plain_sum_of_wedge(observer, reading, prior, 0.75 * end, 1500)
+        assert abs(p.mean[i] - mean) < 2e-3 * sd
+        assert abs(p.sd[i] / sd - 1) < 2e-3
+        assert abs(p.log_evidence[i] - log_evidence) < 2e-3
+
+
+def test_a_wedge_of_angles_ends_at_a_distance_of_its_own_for_each_friction():
+    """Beside sums over distance, angle and friction; none of the three has cells there."""
+    least, wide, largest = 0.3, 0.3, np.arctan(0.3)
+    noise = GeneralisedWeber(0.1, floor=[0.0, 8.7e-7])
+    cue = cues.Friction(ForceMap(), coefficient=0.3)
+    prior = {"deflection_angle": stats.uniform(least, wide)}
+    observer = ww.Observer(W, cue, noise, prior)
+    contacts = [[0.0383, 0.32, 0.07], [0.0394, 0.307, -0.11], [0.0375, 0.315, 0.15]]
+    p = ww.posterior(observer, observer.read(contacts, seed=3))
+    assert not (p.status == Status.IMPRECISE).any()
+    r = np.linspace(0.032, observer.reach[1], 101)
+    r = (r[1:] + r[:-1]) / 2
+    share, (node, weight) = (np.arange(100) + 0.5) / 100, np.polynomial.legendre.leggauss(12)
+    mass = np.zeros((3, len(r)))
+    for friction, w in zip(largest * node, weight, strict=True):
+        limit = mechanics.flick_past(W, r, friction_angle=friction).deflection_angle
+        width = np.clip(np.nan_to_num(limit) - least, 0.0, wide)
+        angle = least + width[:, None] * share
+        signals, outcome = observer.signals(
+            np.stack(np.broadcast_arrays(r[:, None], angle, friction), axis=-1)
+        )
+        signals[outcome != 0] = np.nan
+        for i, reading in enumerate(p.reading):
+            density = np.exp(noise.log_likelihood(reading, signals))
+            mass[i] += w * width * np.nan_to_num(density).sum(axis=1)
+    mass /= mass.sum(axis=1, keepdims=True)
+    mean = mass @ r
+    sd = np.sqrt(mass @ r**2 - mean**2)
+    assert np.all(np.abs(p.mean - mean) < 2e-3 * sd)
+    assert np.all(np.abs(p.sd / sd - 1) < 2e-3)

@@ -31,7 +31,8 @@ class Conditional:
     """What a tree needs of an observer of its first `inner` unknowns, the others being given.
 
     Their values (F,) have numbers, in the order in which they are first needed. Where the reach
-    depends on them and no angle is unknown, distances end at a reach of each number's own.
+    depends on them, and no angle is unknown or the prior of the angle begins above 0, distances end
+    at a reach of each number's own.
     """
 
     def __init__(self, observer: Observer, inner: int) -> None:
@@ -40,7 +41,8 @@ class Conditional:
         self.values = np.zeros((0, len(observer.unknowns) - inner))
         self._numbers: dict[tuple[float, ...], int] = {}
         varies = inner < len(observer.unknowns) and observer.space.reach_varies
-        self._reaches: list[float] | None = [] if varies and observer.bounded == 1 else None
+        ends = varies and (observer.bounded == 1 or observer.space.is_wedge)
+        self._reaches: list[float] | None = [] if ends else None
         if not self.values.shape[1]:
             self.number(())
 
@@ -109,6 +111,8 @@ class Conditional:
 
 def _farthest(observer: Observer, further: tuple[float, ...]) -> float:
     """The largest distance at which contact is held where other unknowns are given, m."""
+    if observer.space.is_wedge:
+        return observer.space.open_reach(further)[1]
     low, high = observer.reach
     for _ in range(5):  # to a millionth of a millionth of the reach
         r = np.linspace(low, high, 258)[1:-1]

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -60,7 +61,9 @@ class ContactCoordinates:
 
     Supports of the `prior`, of frozen SciPy distributions by name, bound distance and angle
     further; each unknown that the whisker does not bound needs one. The first `bounded` unknowns
-    are those that the whisker bounds; `reach` has the ends of the radial distance, m.
+    are those that the whisker bounds; `reach` has the ends of the radial distance, m, between which
+    some deflection angle is open: where the largest comes down to the least that a prior has,
+    distances end.
 
     x₁ = asinh(logit(r/reach)), in which base and tip lie double-exponentially far off, and x₂ = y +
     ln(M/θ_d), with M the small-angle moment and logistic(y + eʸ) the fraction of the largest θ_d at
@@ -83,6 +86,40 @@ class ContactCoordinates:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+        if self.is_wedge:
+            object.__setattr__(self, "reach", self.open_reach())
+
+    @property
+    def is_wedge(self) -> bool:
+        """Whether the range of angles closes at a distance: its prior begins above 0."""
+        return self.bounded > 1 and self._least_angle > 0
+
+    @property
+    def _least_angle(self) -> float:
+        given = "deflection_angle" in self.prior
+        return self._range("deflection_angle", np.pi)[0] if given else 0.0
+
+    def open_reach(self, further: Sequence[float] = ()) -> tuple[float, float]:
+        """The ends of the distances at which some deflection angle is open, m.
+
+        With the values (F,) of unknowns that have priors alone, or of the widest range there is.
+        """
+        ends = self.reach
+        # Of the lower and of the upper end: distances between which it is.
+        brackets = np.array([ends, ends])
+        for _ in range(6):  # to rounding
+            r = np.linspace(brackets[:, 0], brackets[:, 1], 258)
+            contact = np.broadcast_to([0.0, 0.0, *further], (r.size, 2 + len(further))).copy()
+            contact[:, 0] = r.ravel()
+            width = self.angle_range(contact[:, 0], contact)[1].reshape(r.shape)
+            open_ = [np.flatnonzero(w > 0) for w in width.T]
+            if not all(o.size for o in open_):
+                return ends  # there is no contact at all
+            first, last = open_[0][0], open_[1][-1]
+            brackets = np.array(
+                [[r[max(first - 1, 0), 0], r[first, 0]], [r[last, 1], r[min(last + 1, 257), 1]]]
+            )
+        return float(brackets[0, 0]), float(brackets[1, 1])
 
     def _range(self, name: str, top: float) -> tuple[float, float]:
         low, high = self.prior[name].support() if name in self.prior else (0.0, np.inf)
@@ -125,7 +162,7 @@ class ContactCoordinates:
             else:
                 low_angle, width = self.angle_range(out[..., 0], out)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                y = x[..., 1] - self._log_gain(out[..., 0], width)
+                y = x[..., 1] - self._log_gain(out[..., 0], low_angle + width)
                 fraction, log_slope = constrain_angle(y)
                 out[..., 1] = low_angle + width * fraction
                 if "deflection_angle" in self.prior:  # whose density may be infinite at an end
@@ -141,7 +178,7 @@ class ContactCoordinates:
 
     def reaching(self, farthest: Array) -> ContactCoordinates:
         """The same with distances that end at another reach (...), m, of each contact its own."""
-        out = replace(self)
+        out = copy(self)
         object.__setattr__(out, "reach", (self.reach[0], farthest))
         return out
 
@@ -161,7 +198,9 @@ class ContactCoordinates:
             fraction = (contact[..., 1] - low_angle) / width
             # Rounding may put a contact that is all but at the fold upon it.
             fraction = np.where(fraction == 1, np.nextafter(1.0, 0.0), fraction)
-            out[..., 1] = unconstrain_angle(fraction) + self._log_gain(contact[..., 0], width)
+            out[..., 1] = unconstrain_angle(fraction) + self._log_gain(
+                contact[..., 0], low_angle + width
+            )
         for i in range(self.bounded, contact.shape[-1]):
             out[..., i] = to_normal(self.prior[self.cue.unknowns[i]], contact[..., i])
         return out
@@ -188,7 +227,8 @@ class ContactCoordinates:
         x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *further, indexing="ij")], axis=-1)
         if self.bounded > 1:
             r = self.distance(x[:, 0])
-            x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
+            low_angle, width = self.angle_range(r)
+            x[:, 1] += self._log_gain(r, low_angle + width)
         return x
 
     def prior_scores(self, contact: Array) -> Array:
@@ -248,7 +288,7 @@ class ContactCoordinates:
     def angle_scale(self, contact: Array) -> AngleScale:
         """How the angle goes with its coordinate at contacts (N, U), of which it is no matter."""
         low, width = self.angle_range(contact[:, 0], contact)
-        return AngleScale(float(low), width, self._log_gain(contact[:, 0], width))
+        return AngleScale(float(low), width, self._log_gain(contact[:, 0], low + width))
 
     @cached_property
     def reach_varies(self) -> bool:
@@ -260,15 +300,18 @@ class ContactCoordinates:
     def _forward(self) -> ForwardModel:
         return forward_of(self.whisker)
 
-    def _log_gain(self, r: Array, width: Array) -> Array:
-        """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
+    def _log_gain(self, r: Array, largest: Array) -> Array:
+        """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate.
+
+        By the largest angles, which do not vanish where the range of a prior closes.
+        """
         w = self._forward
         room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
         if w.is_hinged:  # in series
             room = 1 / (1 / room + w.hinge_compliance * w.base.compliance_constant)
-        # Where a prior leaves no angle there is nothing to carry.
-        width = np.maximum(width, np.finfo(float).tiny)
-        return np.asarray(np.log(width * w.length * room))
+        # Where there is no angle there is nothing to carry.
+        largest = np.maximum(largest, np.finfo(float).tiny)
+        return np.asarray(np.log(largest * w.length * room))
 
 
 @dataclass(frozen=True)

@@ -398,6 +398,8 @@ def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Est
     """
     out = np.zeros(len(reading), dtype=bool)
     forward, end = observer.forward, observer.reach[1]
+    if observer.space.is_wedge:  # which ends where the whisker flicks past
+        end = observer.cue.farthest(observer.whisker)
     if "deflection_angle" not in observer.unknowns or forward.is_plain:
         return out
     mean, sd = (np.atleast_1d(a) for a in estimates["radial_distance"][:2])
