@@ -137,12 +137,16 @@ def table(case: Case, i: int) -> tuple[Array, int, Array]:
     return levels, n, stats.binom.ppf(np.clip(u, 1e-6, 1 - 1e-6), n, p)
 
 
+BIAS = stats.cauchy(0, 0.7)
+
+
 @cache
 def believed() -> tuple[Array, Array, Array, Array]:
     """Scores of k, lapses and biases as believed beforehand: a low-discrepancy sequence."""
     z, low, high, bias = ndtri(stats.qmc.Sobol(4, seed=1).random_base2(19)).T
     lapses = stats.beta(0.7, 20)
-    return z, lapses.ppf(ndtr(low)), lapses.ppf(ndtr(0.7 * low + np.sqrt(0.51) * high)), bias
+    other = lapses.ppf(ndtr(0.7 * low + np.sqrt(0.51) * high))
+    return z, lapses.ppf(ndtr(low)), other, BIAS.ppf(ndtr(bias))
 
 
 def weighed_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float]:
@@ -165,10 +169,10 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
     """Quantiles of ln k, its sd, ln likelihood ratios at ±3 prior sds, and how well known."""
     drive = (levels - 1) / np.hypot(levels, 1)
     # Scores of k (a perfect observer's far below what is believed) and of both lapses, the bias.
-    windows = [(-9.0, 5.5), *[(-5.5, 5.5)] * 3]
+    windows = [(-9.0, 5.5), (-5.5, 5.5), (-5.5, 5.5), (-30.0, 30.0)]
     pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
     lapses = stats.beta(0.7, 20)
-    for sizes in ((59, 15, 15, 41), (61, 15, 15, 41), (121, 19, 19, 41)):
+    for sizes in ((59, 15, 15, 121), (61, 15, 15, 61), (121, 19, 19, 41)):
         k, low, high, b = (np.linspace(*w, m) for w, m in zip(windows, sizes, strict=True))
         p_low, p_high = (lapses.ppf(ndtr(z))[:, None] for z in (low, high))
         p_low, p_high = p_low[:, None, :], p_high[None, :, :]
@@ -184,7 +188,7 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
                 q = (1 - p_low) * down[:, c] + p_high * up[:, c]
                 total += answers[c] * np.log(np.maximum(p, 1e-300))
                 total += (n - answers[c]) * np.log(np.maximum(q, 1e-300))
-            log[i] = total + prior[..., None] - 0.5 * b**2 - 0.5 * z**2
+            log[i] = total + prior[..., None] + BIAS.logpdf(b) - 0.5 * z**2
         weight = np.exp(log - log.max())
         axes = (k, low, high, b)
         marginal = np.log(np.maximum(weight.sum(axis=(1, 2, 3)), 1e-300)) + 0.5 * k**2

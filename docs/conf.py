@@ -106,7 +106,8 @@ html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
 html_sidebars = {
-    f"validation/{page}": [] for page in ("lapse_prior", "prior_choice", "real_data", "recovery")
+    f"validation/{page}": []
+    for page in ("lapse_prior", "populations", "prior_choice", "real_data", "recovery")
 }
 html_theme_options = {
     "navigation_with_keys": False,

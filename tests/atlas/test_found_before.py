@@ -195,8 +195,14 @@ def test_a_populations_weber_fraction_is_that_of_weighed_draws_whatever_its_laps
     monkeypatch.setattr(
         populations,
         "fit_population",
-        functools.partial(populations.fit_population, priors=believed),
+        functools.partial(
+            populations.fit_population,
+            priors=believed,
+            spread_prior={"lapse_spread": stats.halfnorm(scale=populations.LAPSE_SPREAD)},
+        ),
     )
+    # Few of the populations that a Cauchy bias allows count: four times as many are weighed.
+    monkeypatch.setattr(populations, "POPULATIONS", 4 * populations.POPULATIONS)
     case = zip(populations.AXES, numbers, strict=True)
     judged = populations.judge({name: np.array([value]) for name, value in case})
     assert judged.fate[0] in (fault_search.Fate.RIGHT, fault_search.Fate.WARNED)

@@ -63,7 +63,8 @@ def test_a_population_is_described() -> None:
     found = ww.fit_population(_read("animals_six.csv"))
     text = found.methods()
     assert (
-        f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k is normal" in text
+        f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k, the logit of "
+        "lapse_low, the logit of lapse_high and bias are normal between animals" in text
     )
-    assert "bias ~ cauchy(0, 0.7), spread ~ halfnorm(scale=0.5);" in text
+    assert "bias ~ cauchy(0, 0.7), spread ~ halfnorm(scale=0.5), lapse_spread ~" in text
     assert f"status: {found.status.name}" in text

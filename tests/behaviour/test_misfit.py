@@ -114,4 +114,4 @@ def test_a_population_of_misfits_says_so() -> None:
     fit = fit_population(Trials(frame, sound.task))
     assert fit.status is PopulationStatus.MISFIT
     assert "s2 (MISFIT_STREAKS)" in fit.report()
-    assert fit.report().startswith("More animals")
+    assert fit.report().startswith("The animals together answer as no observers of this model do.")

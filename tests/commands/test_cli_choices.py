@@ -233,13 +233,14 @@ def test_every_belief_has_an_option(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    animals = ["--subjects", "3", "--trials-per-level", "12"]
+    animals = ["--subjects", "3", "--trials-per-level", "12", "--standard", "1", "--standard", "2"]
     answer(capsys, "simulate", *animals, "--out", str(tmp_path / "s"))
     file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
-    known = ["--bias", "none"]  # one unknown less to integrate
+    known = ["--bias", "none", "--law"]  # one unknown less to integrate
     assert run_app(cli.app, ["fit", file, "--together", *known, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "Population, median Weber fraction: 0." in said
+    assert "Noise proportional to the stimulus against its rivals: log Bayes factor" in said
     assert said.startswith((out / "fit_report.txt").read_text("utf-8"))
     assert "of 3 animals" in (out / "fit_methods.txt").read_text("utf-8")
     found = json.loads((out / "fit.json").read_text("utf-8"))
@@ -247,7 +248,8 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     made = {path.name for path in out.iterdir()}
     figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
     texts = {"fit_report.txt", "fit_methods.txt"}
-    assert made == {"fit.json", "fit.run.json", "subjects.csv"} | texts | figures
+    tables = {"subjects.csv", "population.csv", "law.csv", "by_standard.csv"}
+    assert made == {"fit.json", "fit.run.json"} | tables | texts | figures
 
 
 def test_fit_of_states_has_the_course_of_engagement(
@@ -265,7 +267,7 @@ def test_fit_of_states_has_the_course_of_engagement(
     assert course["engaged"].between(0, 1).all()
     assert len(course) == len(trials.frame)
     assert (out / "engagement.png").is_file()
-    assert "leave --effect, --states" in refused(
+    assert "leave --states and --method" in refused(
         capsys, "fit", str(file), "--states", "3", "--together"
     )
 
@@ -290,7 +292,7 @@ HEADER = "stimulus_1,stimulus_2,choice"
         ([HEADER, "20,25,1"], ["--identity", "C2", "--scale", "log"], "leave --scale out"),
         ([HEADER, "1,2,1"], ["--effect", "drft"], "did you mean 'drift'?"),
         ([HEADER, "1,2,1"], ["--lapse-prior", "0,3"], "takes two numbers above zero"),
-        ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --states"),
+        ([HEADER, "1,2,1"], ["--together", "--method", "emcee"], "leave --states and --method"),
         ([HEADER, "1,2,1"], ["--together"], "there is no column 'subject'"),
     ],
 )

@@ -192,15 +192,18 @@ def test_an_experiment_is_fitted_as_fit_weber_fits_it(case):
 
 @pytest.mark.slow
 def test_animals_share_a_population_as_fit_population_has_it():
-    """Evidence and intervals, also of animals that tell little, whose lapses the others tell."""
+    """Evidence and intervals, where lapses and biases are known: a fit learns them from all animals
+    together, a simulated experiment from each by itself."""
     scheme = design((0.3, 0.9), 8).with_animals(2)
     counts, _ = simulate(TAPERED, scheme, SubjectPopulation(), 1, np.random.default_rng(3))
     frames = [trials_of(scheme, counts[0, a], subject=f"s{a}").frame for a in range(2)]
     pooled = Trials(pd.concat(frames, ignore_index=True), task_named("2AFC"))
     factors = []
-    for hypothesis in (TAPERED, CYLINDRICAL):
+    known = {"lapse_low": 0.02, "lapse_high": 0.02, "bias": 0.0}
+    for hypothesis in with_priors([TAPERED, CYLINDRICAL], **known):
         fitted = fit(hypothesis, scheme, counts)
-        own = fit_population(pooled, encoding=hypothesis.encoding, bias="per standard")
+        own = fit_population(pooled, encoding=hypothesis.encoding, priors=hypothesis.priors,
+                             bias="per standard", check=False)  # fmt: skip
         low, high = own.interval(0.95)
         assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.3)
         assert np.log(fitted.quantiles[0]) == pytest.approx(

@@ -371,7 +371,9 @@ def test_what_real_observers_refuse():
     several = ww.mechanics.Profile.of(whisker(20, 0.0)).curved(ww.mechanics.Spiral([1.0, 2.0]))
     with pytest.raises(ValueError, match="one whisker, got 2 values of base"):  # it was taken
         Observer(several, ForceMap())
-    for angle in (0.6, 9, -9, 3.2, 22.0):  # degrees, whose tangents as radians may be small
+    with pytest.raises(ValueError, match=r"up to 30°.*got 0\.6; write np\.radians\(30\) at most"):
+        Friction(ForceMap(), 0.6)
+    for angle in (9, -9, 3.2, 22.0):  # degrees, whose tangents as radians may be small
         with pytest.raises(ValueError, match=rf"up to 30°.*got .*np\.radians\({angle:g}\)"):
             Friction(ForceMap(), angle)
     assert Friction(ForceMap(), np.radians(9)).known == np.radians(9)

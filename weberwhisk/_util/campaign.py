@@ -110,7 +110,9 @@ def run(
     >>> run(work, chunks, seed=1)["trials"].tolist()
     [5, 5, 10, 10]
     """
-    name = _name(work)
+    # Nothing is sent anywhere: what the function is given need not be picklable.
+    is_here = out is None and workers == 1 and scheduler is None
+    name = _name(getattr(work, "func", work) if is_here else work)
     plain = [_plain(number, chunk) for number, chunk in enumerate(chunks)]
     if not plain:
         raise Refusal("there are no chunks", remedy="give one dict or more")

@@ -9,7 +9,7 @@ off it a function of the data.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,7 +19,10 @@ from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
 from .values import Array
 from .weights import systematic
 
-__all__ = ["Component", "SobolPoints", "WeightedDraws", "adapted_draws", "weighted_draws"]
+__all__ = [
+    "Component", "SobolPoints", "WeightedDraws", "adapted_draws", "fitted_components",
+    "mixture_log_density", "weighted_draws",
+]  # fmt: skip
 
 LogDensity = Callable[[Array], Array]
 
@@ -33,10 +36,12 @@ class Component(NamedTuple):
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Draws (N, D) and ln of their weights (N,): density over that of the proposal."""
+    """Draws (N, D) and ln of their weights (N,), density over that of the proposal, which has its
+    ln in `log_proposal` (N,)."""
 
     values: Array
     log_weight: Array
+    log_proposal: Array
 
     @cached_property
     def weights(self) -> Array:
@@ -56,7 +61,7 @@ class WeightedDraws:
 
     def tempered(self, power: float) -> WeightedDraws:
         """The same with weights to a power."""
-        return WeightedDraws(self.values, power * self.log_weight)
+        return replace(self, log_weight=power * self.log_weight)
 
     def resampled(self, size: int, rng: np.random.Generator) -> Array:
         """Draws of equal weight, (size, D), in random order."""
@@ -116,20 +121,26 @@ def weighted_draws(
     dim = mixture[0].centre.size
     each = -(-count // len(mixture))
     uniform = points.next(each * len(mixture)).reshape(len(mixture), each, dim + 1)
-    roots = [np.linalg.cholesky(one.scale) for one in mixture]
     drawn = []
-    for one, root, u in zip(mixture, roots, uniform, strict=True):
+    for one, u in zip(mixture, uniform, strict=True):
         wider = np.sqrt(0.5 * df / gammaincinv(0.5 * df, u[:, -1:]))
-        drawn.append(one.centre + wider * ndtri(u[:, :-1]) @ root.T)
+        drawn.append(one.centre + wider * ndtri(u[:, :-1]) @ np.linalg.cholesky(one.scale).T)
     values = np.concatenate(drawn)
+    log_proposal = mixture_log_density(mixture, values, df)
+    return WeightedDraws(values, log_density(values) - log_proposal, log_proposal)
+
+
+def mixture_log_density(mixture: Sequence[Component], values: Array, df: float = 6.0) -> Array:
+    """ln of the density of a mixture of as much of each Student's t at places (N, D), (N,)."""
+    dim = values.shape[1]
     norm = gammaln(0.5 * (df + dim)) - gammaln(0.5 * df) - 0.5 * dim * np.log(df * np.pi)
-    proposed = np.empty((len(mixture), len(values)))
-    for i, (one, root) in enumerate(zip(mixture, roots, strict=True)):
+    each = np.empty((len(mixture), len(values)))
+    for i, one in enumerate(mixture):
+        root = np.linalg.cholesky(one.scale)
         away = np.linalg.inv(root) @ (values - one.centre).T
-        proposed[i] = norm - np.log(np.diag(root)).sum()
-        proposed[i] -= 0.5 * (df + dim) * np.log1p(np.square(away).sum(axis=0) / df)
-    log_proposal = logsumexp(proposed, axis=0) - np.log(len(mixture))
-    return WeightedDraws(values, log_density(values) - log_proposal)
+        each[i] = norm - np.log(np.diag(root)).sum()
+        each[i] -= 0.5 * (df + dim) * np.log1p(np.square(away).sum(axis=0) / df)
+    return np.asarray(logsumexp(each, axis=0) - np.log(len(mixture)))
 
 
 def adapted_draws(
@@ -141,6 +152,7 @@ def adapted_draws(
     effective: float,
     most: int = 100_000,
     size: int = 2000,
+    mixture: Sequence[Component] = (),
 ) -> WeightedDraws:
     """Draws worth `effective` independent ones, if `most` in one round can be.
 
@@ -159,12 +171,20 @@ def adapted_draws(
         Of D + 1 dimensions.
     effective, most, size
         `size` is that of a pass while the proposal is fitted.
+    mixture : sequence of Component
+        Where to begin instead, such as those fitted to draws from a density much the same.
     """
-    mixture = [Component(mean, np.diag(sd**2))]
+    if mixture:
+        draws = weighted_draws(log_density, mixture, 2 * size, points)
+        if draws.effective >= effective:
+            return draws
+        mixture = fitted_components(draws.tempered(_power(draws, size / 4)))
+    else:
+        mixture = [Component(mean, np.diag(sd**2))]
     for _ in range(30):
         draws = weighted_draws(log_density, mixture, size, points)
         power = _power(draws, size / 4)
-        mixture = _fitted(draws.tempered(power))
+        mixture = fitted_components(draws.tempered(power))
         if power == 1.0:
             break
     count = 2 * size
@@ -173,7 +193,7 @@ def adapted_draws(
         if draws.effective >= effective:
             break
         count = int(np.clip(1.3 * count * effective / draws.effective, count, most))
-        mixture = _fitted(draws)
+        mixture = fitted_components(draws)
     return draws
 
 
@@ -191,7 +211,7 @@ def _power(draws: WeightedDraws, least: float) -> float:
     return max(below, 1e-9)  # most draws may be impossible
 
 
-def _fitted(draws: WeightedDraws) -> list[Component]:
+def fitted_components(draws: WeightedDraws) -> list[Component]:
     """Weighted means and covariances of the quarters of the first coordinate, or of all draws where
     a quarter of them would be too small for a covariance."""
     values, weight = draws.values, draws.weights

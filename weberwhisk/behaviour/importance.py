@@ -93,7 +93,9 @@ class Target:
     def weighted(self, effective: float = EFFECTIVE, size: int = PASS) -> WeightedDraws:
         """Draws worth so many independent ones; the same whenever they are made."""
         if not self.start[0].size:  # every parameter is given: the posterior is one point
-            return WeightedDraws(np.zeros((1, 0)), self.log_density(np.zeros((1, 0))))
+            return WeightedDraws(
+                np.zeros((1, 0)), self.log_density(np.zeros((1, 0))), log_proposal=np.zeros(1)
+            )
         points = SobolPoints(self.start[0].size + 1, seed=0)
         return adapted_draws(
             self.log_density, *self.start, points, effective=effective, size=size

@@ -1,235 +1,489 @@
-"""The integral over a population of animals whose ln k is normal.
+"""The posterior of a population of animals by weighted draws.
 
-Lapses and biases of each animal are integrated out first, which leaves a likelihood of its ln k.
-Given the mean and the sd of the population these are independent, so that the whole posterior is a
-sum over two axes: `PopulationGrid`, which fits and power analyses share.
+The draws of an animal's parameters, weighted by its likelihood over their own density, give its
+likelihood in any population as a sum of normal densities: a matrix product, for many populations at
+once. Draws are made for an animal of which nothing is known, and then, as empirical Bayes has it,
+for the animal in populations that have turned out to be likely. Populations are weighted draws too.
+What the number of draws of animals leaves as error is measured by halves of them, each of its own
+Sobol points; animals that leave much get more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import binary_dilation
-from scipy.special import ndtr
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
-from .._util.values import Array, weighted_quantiles
-from .._util.weights import log_error
-from .priors import SPREAD
+from .._util.importance import (
+    Component,
+    SobolPoints,
+    WeightedDraws,
+    adapted_draws,
+    fitted_components,
+    mixture_log_density,
+    weighted_draws,
+)
+from .._util.values import Array, Index, weighted_quantiles
+from .hierarchy import Animal, Hierarchy, Normals
 
-__all__ = [
-    "Population", "PopulationGrid", "integrate_population", "spread_nodes", "trapezoid_shares",
-]  # fmt: skip
+__all__ = ["AnimalDraws", "Population", "integrate_population"]
 
-Likelihood = tuple[Array, Array]  # nodes of ln k (K,), and the log-likelihood of one animal there
-
-
-def normal_weights(x: Array, mean: Array, sd: Array) -> Array:
-    """Probability of each even node x (X,) under normals, (X, ...).
-
-    The end nodes stand for all beyond them, where a likelihood goes on as it was: populations out
-    there are unlikely by their prior, and not impossible.
-    """
-    half = 0.5 * (x[1] - x[0])
-    away = x.reshape(-1, *[1] * np.ndim(mean)) - mean
-    below = -np.abs(away)  # a tail that is not lost to rounding
-    out = ndtr((below + half) / sd) - ndtr((below - half) / sd)
-    out[0], out[-1] = ndtr((away[0] + half) / sd), ndtr((half - away[-1]) / sd)
-    return np.asarray(out)
-
-
-def narrowest(sd: Array, step: float) -> Array:
-    """Sds of normals on nodes that far apart: one narrower than the nodes is as wide as they are, a
-    fifth of what any animal says."""
-    return np.maximum(sd, 0.8 * step)
-
-
-def trapezoid_shares(count: int) -> Array:
-    """Weights of even nodes in the trapezoid rule, in steps (count,)."""
-    return np.r_[0.5, np.ones(count - 2), 0.5]
-
-
-def log_product(log_like: Array, weights: Array) -> Array:
-    """ln of likelihoods (..., X) averaged with each column of weights (X, N), (..., N)."""
-    top = log_like.max(axis=-1, keepdims=True)
-    return np.asarray(np.log(np.maximum(np.exp(log_like - top) @ weights, 1e-300)) + top)
+FIRST = 400  # draws of an animal of which nothing is known
+ALIKE = 16  # such animals from which others are begun
+#: Draws of all animals in populations that are roughly known, and of one: at the least, over the
+#: square of its number of parameters at the most, once more are needed, and for what is read off.
+DRAWS, FEWEST, BY_DIMENSION, MOST_OF_ONE, OWN = 64_000, 256, 32, 8192.0, 1024
+LIKELY = 16  # populations for which an animal is drawn at once
+#: Rounds, in each of which animals whose draws are too few get more, and how many of them also
+#: where halves of the draws agree in means, but not in likelihood.
+ROUNDS, LATE = 6, 2
+NOISE = 0.8  # sd in log-likelihood of all animals that halves of their draws may differ by
+BLUR = 0.25  # of what animals leave open: populations that are narrower are not distinguished
+FAR = 1.0  # nats that want of draws is made up for at the most
+#: Independent populations that the weighted ones are to be worth with 40 000 draws of animals, with
+#: many and with few.
+EFFECTIVE, LEAST, MOST = 1000.0, 300.0, 4000.0
+PASS = 2000  # populations of a pass
+BLOCK = 100_000  # numbers of a table, which the cache holds
+TOLERANCE, TROUBLE = 0.1, 0.2  # error of a mean in posterior sds: strived for, and too large
 
 
 @dataclass(frozen=True)
-class PopulationGrid:
-    """Populations on nodes of mean and spread, and what animals say of them.
+class Site:
+    """A normal stand-in G for the likelihood of an animal: its precision (E, E), and that times its
+    mean (E,); ln G = −½ xᵀ precision x + shiftᵀ x."""
 
-    `kernel` (X, M·T) is the probability of each even node of ln k in each population;
-    `log_weight` (M, T) is ln of the prior density times the node's share of the integral.
-    """
-
-    kernel: Array
-    log_weight: Array
+    precision: Array
+    shift: Array
 
     @classmethod
-    def at(cls, log_k: Array, mean: Array, sd: Array, log_weight: Array) -> PopulationGrid:
-        """Of populations with means (M, T) and sds (T,), on nodes log_k (X,)."""
-        return cls(normal_weights(log_k, mean, sd).reshape(log_k.size, -1), log_weight)
+    def of(cls, coordinates: Array, weights: Array, mean: Array, sd: Array) -> Site:
+        """By the moments of draws of the posterior in a population (E,)."""
+        x = (coordinates - mean) / sd
+        middle = weights @ x
+        off = x - middle
+        whole = np.linalg.inv((off.T * weights) @ off + 1e-9 * np.eye(middle.size))
+        value, vector = np.linalg.eigh(whole)
+        # Where a posterior is as wide as its prior, the animal says nothing.
+        own = (vector * np.maximum(value - 1, 1e-3)) @ vector.T
+        shift = (own + np.eye(middle.size)) @ middle
+        return cls(own / np.outer(sd, sd), shift / sd + own @ (mean / sd) / sd)
 
-    def by_animal(self, log_like: Array) -> Array:
-        """Log-likelihood of each population, (..., A, M·T), by those of ln k, (..., A, X)."""
-        return log_product(log_like, self.kernel)
+    def given(self, mean: Array, sd: Array) -> Component:
+        """Centre and covariance of the animal in a population (E,)."""
+        covariance = np.linalg.inv(self.precision + np.diag(sd**-2.0))
+        covariance = 0.5 * (covariance + covariance.T)
+        return Component(covariance @ (self.shift + mean / sd**2), covariance)
 
-    def log_mass(self, by_animal: Array) -> Array:
-        """ln of prior, likelihood of all animals and share of the integral, (..., M, T)."""
-        total = by_animal.sum(axis=-2)
-        return np.asarray(total.reshape(*total.shape[:-1], *self.log_weight.shape)
-                          + self.log_weight)  # fmt: skip
+    def log_density(self, x: Array) -> Array:
+        """ln G at coordinates (N, E)."""
+        return np.asarray(x @ self.shift - 0.5 * ((x @ self.precision) * x).sum(axis=1))
+
+    def log_integral(self, mean: Array, sd: Array) -> Array:
+        """ln of the integral of G times the normal density of each population (M, E), (M,)."""
+        slope = (self.shift - mean @ self.precision) * sd
+        out = mean @ self.shift - 0.5 * ((mean @ self.precision) * mean).sum(axis=1)
+        # Cholesky's rows of 1 + sd·precision·sd and its solution, for all populations at once.
+        size = self.shift.size
+        root: list[list[Array]] = []
+        solved: list[Array] = []
+        for i in range(size):
+            row: list[Array] = []
+            for j in range(i):
+                entry = self.precision[i, j] * (sd[:, i] * sd[:, j])
+                for k in range(j):
+                    entry -= row[k] * root[j][k]
+                row.append(entry / root[j][j])
+            square = 1 + self.precision[i, i] * sd[:, i] ** 2
+            rest = slope[:, i].copy()
+            for k in range(i):
+                square -= row[k] ** 2
+                rest -= row[k] * solved[k]
+            row.append(np.sqrt(square))
+            root.append(row)
+            solved.append(rest / row[i])
+            out += 0.5 * solved[i] ** 2 - np.log(row[i])
+        return np.asarray(out)
 
 
-def spread_nodes(count: int) -> tuple[Array, Array]:
-    """Gauss–Legendre nodes of the default prior of the spread (T,), and ln of their probability."""
-    node, weight = np.polynomial.legendre.leggauss(count)
-    half = 0.5 * float(SPREAD.ppf(1 - 1e-4))
-    spread = half * (node + 1)
-    return spread, np.log(half * weight) + SPREAD.logpdf(spread)
+@dataclass(frozen=True)
+class AnimalDraws:
+    """Coordinates (N, E) of an animal, `at` (E,) of those of its hierarchy, ln of its likelihood
+    and of their own density (N,), even and odd ones being of separate points; and a `site`.
+
+    The likelihood in a population is the average of L/q times its density. The average of G/q, of
+    the site in place of the likelihood, errs much alike, by draws that are few where a population
+    is narrow, and its integral is known: their ratio times that integral is right to the little in
+    which the site and the likelihood differ there.
+    """
+
+    at: Index
+    coordinates: Array
+    log_like: Array
+    log_proposal: Array
+    site: Site
+    #: Those drawn from, each with the number of its draws; none where draws are not kept.
+    mixtures: tuple[tuple[int, tuple[Component, ...]], ...] = ()
+
+    @classmethod
+    def of_mixture(
+        cls,
+        animal: Animal,
+        mixture: Sequence[Component],
+        count: int,
+        site: Site,
+        seed: Sequence[int],
+    ) -> AnimalDraws:
+        """About so many draws of a mixture of Student's t."""
+        each = [
+            weighted_draws(
+                animal.log_likelihood, mixture, count // 2,
+                SobolPoints(animal.at.size + 1, np.random.default_rng([*seed, half])),
+            )
+            for half in (0, 1)
+        ]  # fmt: skip
+        x = np.stack([one.values for one in each], axis=1).reshape(-1, animal.at.size)
+        weight, proposal = (
+            np.stack([getattr(one, name) for one in each], axis=1).reshape(-1)
+            for name in ("log_weight", "log_proposal")
+        )
+        return cls(animal.at, x, weight + proposal, proposal, site, ((len(x), tuple(mixture)),))
+
+    def joined(self, later: AnimalDraws) -> AnimalDraws:
+        """These draws and later ones, all as of their mixtures together (Veach & Guibas 1995)."""
+        mixtures = self.mixtures + later.mixtures
+        x = np.concatenate([self.coordinates, later.coordinates])
+        log = [np.log(n) + mixture_log_density(mixture, x) for n, mixture in mixtures]
+        log_proposal = logsumexp(log, axis=0) - np.log(len(x))
+        log_like = np.concatenate([self.log_like, later.log_like])
+        return replace(
+            later, coordinates=x, log_like=log_like, log_proposal=log_proposal, mixtures=mixtures
+        )
+
+    def posterior(self, mean: Array, sd: Array) -> WeightedDraws:
+        """The animal in one population (E,)."""
+        log_prior = -0.5 * (((self.coordinates - mean) / sd) ** 2).sum(axis=1)
+        log_weight = self.log_like + log_prior - self.log_proposal
+        return WeightedDraws(self.coordinates, log_weight, self.log_proposal)
+
+    def weights(self, mean: Array, sd: Array) -> Array:
+        """Weights (N,) of sum 1 of the draws in one population (E,)."""
+        return self.posterior(mean, sd).weights
+
+    @cached_property
+    def _site_scale(self) -> float:
+        """By which ln G is to be raised for both to have the same highest value."""
+        return float(self.log_like.max() - self.site.log_density(self.coordinates).max())
+
+    @cached_property
+    def _weighed(self) -> _Weighed:
+        log_site = self.site.log_density(self.coordinates) + self._site_scale
+        greater = np.maximum(self.log_like, log_site)
+        x, rest = self.coordinates, np.ones((len(self.coordinates), 2))
+        rest[:, 0] = greater - self.log_proposal
+        most = float(rest[:, 0].max())
+        rest[:, 0] -= most
+        features = np.hstack([x**2, x, rest]).astype(np.float32)
+        shares = np.exp(np.stack([self.log_like, log_site]) - greater).astype(np.float32)
+        return _Weighed(features, shares[0], shares[1], most)
+
+    def _densities(self, normals: Normals) -> NDArray[np.float32]:
+        """Weight of each draw in each population, (N, M), but for a factor of each population."""
+        mean, precision = normals.mean[:, self.at], normals.sd[:, self.at] ** -2.0
+        rest = np.ones((len(mean), 2))
+        rest[:, 1] = -0.5 * (precision * mean**2).sum(axis=1)
+        weights = np.hstack([-0.5 * precision, precision * mean, rest]).astype(np.float32)
+        table = self._weighed.features @ weights.T
+        return np.asarray(np.exp(table, out=table))
+
+    def by_population(self, normals: Normals) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Weights of the draws in each of some populations (N, m), a part of them at a time."""
+        count, size = len(normals.mean), max(BLOCK // len(self.log_like), 1)
+        for part in (slice(i, i + size) for i in range(0, count, size)):
+            table = self._densities(normals.of(part))
+            yield part, table * self._weighed.of_likelihood[:, None]
+
+    def log_likelihood(self, normals: Normals) -> Array:
+        """Of the animal in each population, by even and by odd draws, (2, M)."""
+        count, size = len(normals.mean), max(BLOCK // len(self.log_like), 1)
+        weighed = self._weighed
+        shares = np.zeros((4, len(self.log_like)), dtype=np.float32)
+        for half in (0, 1):
+            shares[half, half::2] = weighed.of_likelihood[half::2]
+            shares[2 + half, half::2] = weighed.of_site[half::2]
+        sums = np.empty((4, count))
+        for part in (slice(i, i + size) for i in range(0, count, size)):
+            sums[:, part] = shares @ self._densities(normals.of(part))
+        mean, sd = normals.mean[:, self.at], normals.sd[:, self.at]
+        norm = 0.5 * self.at.size * np.log(2 * np.pi) + np.log(len(self.log_like) / 2)
+        factors = weighed.most - norm - np.log(sd).sum(axis=1)
+        log = np.log(np.maximum(sums, 1e-37)) + factors
+        known = self.site.log_integral(mean, sd) + self._site_scale
+        # Far from all draws neither average is right, and the site may be far too high.
+        return np.asarray(log[:2] + np.minimum(known - log[2:], FAR))
+
+
+class _Weighed(NamedTuple):
+    """What sums over draws are made of.
+
+    `features` (N, 2 E + 2) have ln of a weight, the greater of likelihood and site over the density
+    of the draw and over its highest value, whose ln is `most`; `of_likelihood` and `of_site` (N,)
+    are the shares of either in the greater.
+    """
+
+    features: NDArray[np.float32]
+    of_likelihood: NDArray[np.float32]
+    of_site: NDArray[np.float32]
+    most: float
+
+
+@dataclass(frozen=True)
+class _Roughly:
+    """The likelihood of an animal by its site alone, but for a factor."""
+
+    animal: AnimalDraws
+
+    def log_likelihood(self, normals: Normals) -> Array:
+        """In each population, (1, M)."""
+        at, site = self.animal.at, self.animal.site
+        return site.log_integral(normals.mean[:, at], normals.sd[:, at])[None]
 
 
 @dataclass(frozen=True)
 class Population:
-    """The posterior of a population on nodes, and of ln k of its animals.
+    """The posterior of a population and of its animals.
 
-    `mass` (M, T) is the probability of each node: `mean` (M, T) of ln k, and its sd, the `spread`
-    (T,). `animals` (A, X) are the probabilities of ln k of each animal on the nodes `log_k`, given
-    all the data, and `log_likelihood` (A, X) what its own choices say. Between nodes the density is
-    linear.
+    `draws` are weighted populations, as vectors of scores of the `hierarchy`; `error` is that of a
+    mean of theirs that the draws of animals leave, in posterior sds.
     """
 
-    mean: Array
-    spread: Array
-    mass: Array
-    log_k: Array
-    animals: Array
-    log_likelihood: Array
-    log_evidence: float
+    hierarchy: Hierarchy
+    animals: tuple[AnimalDraws, ...]
+    draws: WeightedDraws
     error: float
 
-    def nodes(self, parameter: str) -> tuple[Array, Array]:
-        """Values of "weber_fraction" or "spread" and their probabilities, flat."""
-        if parameter == "spread":
-            return self.spread, self.mass.sum(axis=0)
-        return np.exp(self.mean).ravel(), self.mass.ravel()
+    @property
+    def trouble(self) -> str:
+        """Why the numbers are not to be relied on; empty where they are."""
+        if self.error > TROUBLE:
+            return f"the draws of animals leave an error of {self.error:.2g} posterior sds"
+        if self.draws.effective < EFFECTIVE / 10:
+            return f"its draws are worth only {self.draws.effective:.0f} independent ones"
+        return ""
 
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Joint draws of both parameters, each (count,): nodes, moved within their cells."""
-        at = rng.choice(self.mass.size, count, p=self.mass.ravel())
-        places = []
-        for i, n in zip(np.unravel_index(at, self.mass.shape), self.mass.shape, strict=True):
-            moved = np.abs(i + rng.random(count) - rng.random(count))  # for a spread of 0 exact
-            places.append(np.minimum(moved, n - 1 - 1e-9))
-        (m, t), (dm, dt) = [p.astype(int) for p in places], [p % 1 for p in places]
-        spread = self.spread[t] + dt * (self.spread[t + 1] - self.spread[t])
-        low, high = (self.mean[m, t + j] * (1 - dm) + self.mean[m + 1, t + j] * dm for j in (0, 1))
-        return {"weber_fraction": np.exp(low + dt * (high - low)), "spread": spread}
+    @property
+    def log_evidence(self) -> float:
+        """ln of the probability of all answers."""
+        return self.draws.log_evidence
 
-    def given(
-        self, log_mean: Array, spread: Array, rng: np.random.Generator
-    ) -> tuple[Array, Array]:
-        """Of each animal in populations (N,): log-likelihood of its choices, and a draw of its ln
-        k, (A, N)."""
-        step = self.log_k[1] - self.log_k[0]
-        kernel = normal_weights(self.log_k, log_mean, narrowest(spread, step))  # (X, N)
-        shared = np.exp(self.log_likelihood - self.log_likelihood.max(axis=1, keepdims=True))
-        drawn = np.empty((len(shared), log_mean.size))
-        for row, likelihood in zip(drawn, shared, strict=True):
-            below = np.cumsum(likelihood[:, None] * kernel, axis=0)
-            node = (below < rng.random(log_mean.size) * below[-1]).sum(axis=0)
-            moved = rng.random(log_mean.size) - rng.random(log_mean.size)
-            row[:] = self.log_k[node] + step * moved
-        return log_product(self.log_likelihood, kernel), drawn
+    @cached_property
+    def values(self) -> dict[str, Array]:
+        """Every parameter of the population at the draws, by name."""
+        return self.hierarchy.values(self.draws.values)
+
+    def quantile(self, parameter: str, probability: ArrayLike) -> Array:
+        """Posterior quantiles of a parameter of the population."""
+        return weighted_quantiles(self.values[parameter], self.draws.weights, probability)
+
+    def sd(self, parameter: str) -> float:
+        """Posterior standard deviation of a parameter of the population."""
+        values, weights = self.values[parameter], self.draws.weights
+        return float(np.sqrt(weights @ (values - weights @ values) ** 2))
+
+    @cached_property
+    def typical(self) -> Normals:
+        """The animals of populations of equal weight, drawn once and for all."""
+        count = int(np.clip(DRAWS / len(self.animals), 500, 4000))
+        return self.hierarchy.normals(self.draws.resampled(count, np.random.default_rng(0)))
+
+    def animal_weights(self, number: int) -> Array:
+        """Weights (N,) of sum 1 of the draws of an animal given the answers of all."""
+        one = self.animals[number]
+        total = np.zeros(len(one.log_like))
+        for _, table in one.by_population(self.typical):
+            total += table @ (1 / np.maximum(table.sum(axis=0), 1e-37))
+        return total / total.sum()
+
+    def animal_values(self, number: int) -> dict[str, Array]:
+        """Parameters of an animal at its draws, each (N,), by name."""
+        one = self.animals[number]
+        return self.hierarchy.of_animal(one.coordinates, one.at)
+
+    def given(self, scores: Array, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
+        """Of each animal in populations (M, D + S): log-likelihood of its answers, and a draw of
+        its parameters by name, each (A, M); NaN where it lacks one."""
+        normals, shape = self.hierarchy.normals(scores), (len(self.animals), len(scores))
+        likelihood = np.empty(shape)
+        drawn = {name: np.full(shape, np.nan) for name in self.hierarchy.names}
+        for number, one in enumerate(self.animals):
+            likelihood[number] = _average(one.log_likelihood(normals))
+            named = self.animal_values(number)
+            for part, table in one.by_population(normals):
+                rise = np.cumsum(table, axis=0, dtype=np.float64)
+                places = (rise < rng.random(rise.shape[1]) * rise[-1]).sum(axis=0)
+                places = np.minimum(places, len(rise) - 1)
+                for name, values in named.items():
+                    drawn[name][number, part] = values[places]
+        return likelihood, drawn
 
 
 def integrate_population(
-    animals: Sequence[Likelihood], log_prior: Callable[[Array], Array], spread: Any
+    animals: Sequence[Animal], hierarchy: Hierarchy, quick: bool = False
 ) -> Population:
-    """The posterior of a population of animals.
+    """The posterior of the population of some animals; a quick one is for evidence and medians."""
+    points = SobolPoints(hierarchy.size + 1, 0)
+    drawn = _unacquainted(animals, hierarchy.vague)
+    hierarchy = hierarchy.blurred(_blur(drawn, hierarchy))
+    draws = _populations(hierarchy, [_Roughly(one) for one in drawn], points, (), PASS / 4)
+    most = BY_DIMENSION * np.array([animal.at.size for animal in animals]) ** 2
+    count = np.clip(np.minimum(most, DRAWS / len(animals)), FEWEST, MOST_OF_ONE)
+    again = np.ones(len(animals), dtype=bool)
+    for number in range(1 if quick else ROUNDS):
+        likely = _likely(hierarchy, draws, number)
+        for i in np.flatnonzero(again):
+            drawn[i] = _redrawn(animals[i], drawn[i], likely, int(count[i]), (number, int(i)))
+        draws = _populations(hierarchy, drawn, points, fitted_components(draws), PASS / 10)
+        error, noise = _errors(hierarchy, drawn, draws)
+        share = noise * np.sqrt(len(animals)) / NOISE  # of what each may have
+        # Where means are right, their evidence is not worth ten times the draws.
+        if error < TOLERANCE and (number >= LATE or np.mean(share**2) < 1):
+            break
+        again = share >= min(1.0, float(np.quantile(share, 0.8)))
+        count[again] *= np.clip(share[again] ** 2, 2, 8)
+        count = np.minimum(count, MOST_OF_ONE)
+    if quick:
+        return Population(hierarchy, tuple(drawn), draws, error)
+    given = sum(len(one.log_like) for one in drawn)
+    effective = float(np.clip(EFFECTIVE * 40_000 / given, LEAST, MOST))
+    if draws.effective < effective:
+        draws = _populations(hierarchy, drawn, points, fitted_components(draws), effective)
+    likely = _likely(hierarchy, draws, ROUNDS)
+    for i, one in enumerate(drawn):
+        if len(one.log_like) < OWN:
+            lacking = max(OWN - len(one.log_like), FEWEST)
+            drawn[i] = _redrawn(animals[i], one, likely, lacking, (ROUNDS, i))
+    return Population(hierarchy, tuple(drawn), draws, error)
 
-    Parameters
-    ----------
-    animals : sequence of (ln k, log-likelihood)
-    log_prior : callable
-        Log prior density of the mean of ln k.
-    spread : frozen distribution
-        Prior of its sd between animals.
+
+def _blur(drawn: Sequence[AnimalDraws], hierarchy: Hierarchy) -> Array:
+    """Sds between animals below which populations are not distinguished, (D,)."""
+    width = np.full((len(drawn), len(hierarchy.names)), np.nan)
+    for row, one in zip(width, drawn, strict=True):
+        none = np.zeros(one.at.size)
+        row[one.at] = np.sqrt(np.diag(one.site.given(none, hierarchy.vague.sd[one.at]).scale))
+    return np.asarray(BLUR * np.nanmedian(width, axis=0))
+
+
+def _likely(hierarchy: Hierarchy, draws: WeightedDraws, seed: int) -> Normals:
+    """Some populations, with means in the middle and sds as if means were not known."""
+    every = hierarchy.normals(draws.resampled(500, np.random.default_rng(seed)))
+    middle, sd = every.mean.mean(axis=0), every.sd[:LIKELY]
+    return Normals(np.broadcast_to(middle, sd.shape), np.hypot(sd, every.mean.std(axis=0)))
+
+
+def _redrawn(
+    animal: Animal, before: AnimalDraws, likely: Normals, count: int, seed: Sequence[int]
+) -> AnimalDraws:
+    """Draws of an animal in likely populations, with a site that fits there.
+
+    Those of the posterior in a typical population, by the draws before, are among them: it may have
+    modes that no site has.
     """
-    mean, sd, core = np.array([_moments(*one) for one in animals]).T
-    # Spreads are distinguished from 0.1 on, however little the animals say.
-    step = min(float(core.min()) / 4, 0.15)
-    first, last = min(k[0] for k, _ in animals), max(k[-1] for k, _ in animals)
-    x = np.arange(first - 0.5, last + 0.5, step)
-    log_like = np.array([_onto(x, *one) for one in animals])
-    bounds = [(-12.0, 12.0), (float(spread.support()[0]), float(spread.ppf(1 - 1e-6)))]
-    ranges = bounds
-    for count in (25, 25, 25, 81):
-        place, tau = (np.linspace(*ends, count) for ends in ranges)
-        # The mean in its sds from its middle, given the spread, as if likelihoods were normal.
-        weight = 1 / (sd[:, None] ** 2 + tau**2)  # (A, T)
-        width = 1 / np.sqrt(weight.sum(axis=0))
-        mu = width**2 * (weight * mean[:, None]).sum(axis=0) + width * place[:, None]
-        with np.errstate(divide="ignore"):
-            log_weight = log_prior(mu) + spread.logpdf(tau)
-            # Half at either end, the trapezoid rule: exact at a spread of 0.
-            log_weight += np.log(width * np.outer(*map(trapezoid_shares, mu.shape)))
-        grid = PopulationGrid.at(x, mu, narrowest(tau, step), log_weight)
-        by_animal = grid.by_animal(log_like)  # (A, M·T)
-        log_mass = grid.log_mass(by_animal)
-        top = float(log_mass.max())
-        mass = np.exp(log_mass - top)
-        ranges = [
-            _narrowed(mass.sum(axis=1 - i), axis, ends)
-            for i, (axis, ends) in enumerate(zip((place, tau), bounds, strict=True))
-        ]
-    total = mass.sum()
-    mass /= total
-    cell = (place[1] - place[0]) * (tau[1] - tau[0])
-    error = max(log_error(mass.sum(axis=i)) ** 2 for i in (0, 1))
-    # Where a prior ends between two nodes, half a cell beside each may be misjudged.
-    possible = np.isfinite(log_mass)
-    error = max(error, 0.5 * float(mass[possible & binary_dilation(~possible)].sum()))
-    # What the others say of an animal: every population by how it fares without it.
-    flat = mass.ravel()
-    low = by_animal.min(axis=1, keepdims=True, where=flat > 1e-12 * flat.max(), initial=np.inf)
-    of_others = (flat * np.exp(np.minimum(low - by_animal, 0.0))) @ grid.kernel.T
-    log_animals = log_like + np.log(np.maximum(of_others, 1e-300))
-    animals_mass = np.exp(log_animals - log_animals.max(axis=1, keepdims=True))
-    animals_mass /= animals_mass.sum(axis=1, keepdims=True)
-    return Population(
-        mu, tau, mass, x, animals_mass, log_like, top + float(np.log(total * cell)), error
-    )
+    means, sds = likely.mean[:, animal.at], likely.sd[:, animal.at]
+    mean, sd = means.mean(axis=0), np.sqrt((sds**2).mean(axis=0))
+    site = Site.of(before.coordinates, before.weights(mean, sd), mean, sd)
+    mixture = [site.given(*one) for one in zip(means, sds, strict=True)]
+    mixture += fitted_components(before.posterior(mean, sd))
+    drawn = AnimalDraws.of_mixture(animal, mixture, count, site, seed)
+    if before.mixtures:
+        drawn = before.joined(drawn)
+    site = Site.of(drawn.coordinates, drawn.weights(mean, sd), mean, sd)
+    return replace(drawn, site=site)
 
 
-def _moments(log_k: Array, log_like: Array) -> tuple[float, ...]:
-    """Mean and sd of ln k in the likelihood of one animal, and the sd that its quartiles have.
+def _unacquainted(animals: Sequence[Animal], vague: Normals) -> list[AnimalDraws]:
+    """Draws of animals of a population of which nothing is known."""
+    out: list[AnimalDraws] = []
+    start: dict[bytes, Component] = {}
+    for number, animal in enumerate(animals):
+        mean, sd = vague.mean[animal.at], vague.sd[animal.at]
+        norm = -np.log(sd).sum() - 0.5 * sd.size * np.log(2 * np.pi)
 
-    Lapses may explain any answers: the likelihood has a tail that widens its sd.
-    """
-    mass = np.exp(log_like - log_like.max())
-    mass /= mass.sum()
-    mean = float(mass @ log_k)
-    low, high = weighted_quantiles(log_k, mass, [0.25, 0.75])
-    return mean, float(np.sqrt(mass @ (log_k - mean) ** 2)), float(high - low) / 1.35
+        def log_density(x: Array, animal: Animal = animal, norm: float = norm) -> Array:
+            mean, sd = vague.mean[animal.at], vague.sd[animal.at]
+            square = (((x - mean) / sd) ** 2).sum(axis=1)
+            return np.asarray(animal.log_likelihood(x) + norm - 0.5 * square)
+
+        alike = animal.at.tobytes()
+        drawn = adapted_draws(
+            log_density, mean, sd, SobolPoints(sd.size + 1, np.random.default_rng(number)),
+            effective=FIRST / 2, most=4 * FIRST, size=FIRST,
+            mixture=[start[alike]] if alike in start else (),
+        )  # fmt: skip
+        site = Site.of(drawn.values, drawn.weights, mean, sd)
+        log_like = animal.log_likelihood(drawn.values)
+        out.append(AnimalDraws(animal.at, drawn.values, log_like, drawn.log_proposal, site))
+        same = [one for one in out if np.array_equal(one.at, animal.at)]
+        if len(same) == ALIKE:  # others will be much as these
+            start[alike] = _pooled([o.site.given(mean, sd) for o in same])
+    return out
 
 
-def _onto(x: Array, log_k: Array, log_like: Array) -> Array:
-    """A log-likelihood at other nodes; beyond its own it goes on as it was: flat, or falling."""
-    curve = CubicSpline(log_k, log_like)
-    slopes = curve(log_k[[0, -1]], 1)
-    below, above = np.minimum(x - log_k[0], 0), np.maximum(x - log_k[-1], 0)
-    inside = curve(np.clip(x, log_k[0], log_k[-1]))
-    return np.asarray(inside + below * max(slopes[0], 0.0) + above * min(slopes[1], 0.0))
+def _pooled(components: Sequence[Component]) -> Component:
+    """One with the moments of all together."""
+    centres = np.array([one.centre for one in components])
+    between = np.cov(centres.T).reshape(centres.shape[1], -1)
+    return Component(centres.mean(axis=0), np.mean([o.scale for o in components], axis=0) + between)
 
 
-def _narrowed(
-    mass: Array, axis: Array, bounds: tuple[float, float], least: float = 1e-6
-) -> tuple[float, float]:
-    """The part of an axis with at least that share of the peak, a step more on either side."""
-    above, step = axis[mass > least * mass.max()], axis[1] - axis[0]
-    return max(above[0] - step, bounds[0]), min(above[-1] + step, bounds[1])
+def _populations(
+    hierarchy: Hierarchy,
+    animals: Sequence[AnimalDraws | _Roughly],
+    points: SobolPoints,
+    mixture: Sequence[Component],
+    effective: float,
+) -> WeightedDraws:
+    """Weighted populations, drawn first from the mixture or, without one, from the hyperpriors."""
+
+    def log_density(scores: Array) -> Array:
+        normals, total = hierarchy.normals(scores), hierarchy.log_prior(scores)
+        for animal in animals:
+            total = total + _average(animal.log_likelihood(normals))
+        return total
+
+    zero, one = np.zeros(hierarchy.size), np.ones(hierarchy.size)
+    return adapted_draws(
+        log_density, zero, one, points, effective=effective, size=PASS,
+        most=4 * int(max(effective, PASS / 2)), mixture=mixture,
+    )  # fmt: skip
+
+
+def _average(halves: Array) -> Array:
+    """ln of the mean of likelihoods by halves of the draws (n, M), as if draws were endless: the
+    logarithm of a mean is too low by as much again as it is above the mean logarithm of halves."""
+    whole = logsumexp(halves, axis=0) - np.log(len(halves))
+    return np.asarray(whole + np.minimum(whole - halves.mean(axis=0), 0.3))
+
+
+def _errors(
+    hierarchy: Hierarchy, animals: Sequence[AnimalDraws], draws: WeightedDraws
+) -> tuple[float, Array]:
+    """What halves of the animals' draws differ by: half of how far the means of populations are
+    apart, in posterior sds, in the root mean square of all parameters; and the sd of the difference
+    in log-likelihood of each animal, (A,)."""
+    scores = draws.resampled(1000, np.random.default_rng(0))
+    normals, total, by_animal = hierarchy.normals(scores), np.zeros((2, len(scores))), []
+    for animal in animals:
+        halves = animal.log_likelihood(normals)
+        total += halves
+        by_animal.append(float((halves[0] - halves[1]).std()))
+    log_weight = total - total.mean(axis=0)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    means = (weight @ scores) / weight.sum(axis=1, keepdims=True)
+    difference = (means[0] - means[1]) / scores.std(axis=0)
+    return float(np.sqrt(np.mean(difference**2))) / 2, np.array(by_animal)

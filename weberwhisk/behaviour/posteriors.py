@@ -16,7 +16,7 @@ from .likelihood import Draws, WeberModel
 from .priors import REACH, TINY, Priors
 
 __all__ = [
-    "FreeDensity", "WeberPosterior", "find_mode", "fraction_curve", "log_posterior",
+    "FreeDensity", "WeberPosterior", "find_mode", "fraction_curve", "joint_lapses", "log_posterior",
     "log_prior_density", "log_score_density", "named_values", "prior_draws", "refuse_all_fixed",
     "split",
 ]  # fmt: skip
@@ -160,7 +160,7 @@ def log_prior_density(model: WeberModel, draws: Draws) -> dict[str, Array]:
         if not (joint and name in both):
             out[name] = priors.log_density(name, np.maximum(values, _least(priors, name)))
         elif name == both[0]:
-            out["lapses"] = _joint_lapses(priors, *(named[n] for n in both))
+            out["lapses"] = joint_lapses(priors, *(named[n] for n in both))
     if model.free_bias:
         out["bias"] = model.log_bias_prior(draws.bias)
     return out
@@ -181,7 +181,7 @@ def log_score_density(model: WeberModel, draws: Draws) -> dict[str, Array]:
             out[name] = -0.5 * priors.score(name, values) ** 2
         elif free and name == free[0]:
             scores = [priors.score(lapse, named[lapse]) for lapse in free]
-            square = sum(z**2 for z in scores)
+            square = np.sum(np.square(scores), axis=0)
             if len(free) == 2:
                 square = (square - 2 * rho * scores[0] * scores[1]) / (1 - rho**2)
             out["lapses"] = -0.5 * square
@@ -197,7 +197,7 @@ def _least(priors: Priors, name: str) -> float:
     return TINY if priors.support(name)[0] == 0 else -np.inf
 
 
-def _joint_lapses(priors: Priors, low: Array, high: Array) -> Array:
+def joint_lapses(priors: Priors, low: Array, high: Array) -> Array:
     """Log density of two lapses whose normal scores are correlated."""
     rho, lapses = priors.lapse_correlation, {"lapse_low": low, "lapse_high": high}
     total: Any = 0.0

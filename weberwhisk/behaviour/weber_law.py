@@ -3,11 +3,13 @@
 The law says that one Weber fraction serves every standard. Its rivals say how it fails, by one
 parameter each: noise that grows as a power of the stimulus other than 1, and noise that is left
 where the stimulus vanishes. A bias of each standard, or contraction towards the mean stimulus,
-would pass for either, so that both are marginalised.
+would pass for either, so that both are marginalised. Of a population the bias is that of its fit,
+and every parameter differs between its animals.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,6 +26,10 @@ from .effects import Contraction, Effect, Exponent, Floor, is_possible
 from .encodings import LogAxisEncoding, UnitEncodings
 from .estimates import Estimates, check_fit
 from .fit import WeberFit, fit_weber
+from .pooled import any_fired, pooled_residuals
+from .population import Population
+from .population_fit import PopulationFit, PopulationStatus
+from .population_model import PopulationModel
 from .quadrature import QuadraturePosterior
 from .trials import needs_standards
 from .verdict import FitStatus, strength
@@ -61,7 +67,7 @@ class WeberLawTest(Line):
     log_bayes_factor: float
     rivals: pd.DataFrame = field(repr=False)
     least_shown: float
-    status: FitStatus
+    status: FitStatus | PopulationStatus
     by_standard: pd.DataFrame = field(repr=False)
 
     def _table(self) -> pd.DataFrame:
@@ -70,7 +76,7 @@ class WeberLawTest(Line):
     @property
     def verdict(self) -> str:
         """What the evidence says, or that it says nothing."""
-        if self.status.is_misfit or self.status in UNCHECKED:
+        if self.status.is_misfit or self.status in (*UNCHECKED, PopulationStatus.NOT_CONVERGED):
             return (
                 "nothing can be said of Weber's law, as the model does not hold "
                 f"({self.status.name})"
@@ -115,7 +121,7 @@ class WeberLawTest(Line):
 
 
 @one_blas_thread
-def weber_law_test(fit: Estimates) -> WeberLawTest:
+def weber_law_test(fit: Estimates | PopulationFit) -> WeberLawTest:
     """Weber's law against noise as a power of the stimulus, and against a floor.
 
     Every model has the effects of the fit, and either a bias of each standard or one bias and
@@ -123,8 +129,9 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
 
     Parameters
     ----------
-    fit : WeberFit
-        Of two standards or more; its encoding, priors, noise and effects are those of the test.
+    fit : WeberFit or PopulationFit
+        Of two standards or more; its encoding, priors, noise and effects are those of the test. Of
+        a population the exponent and the floor are its medians, and the bias is the fit's.
 
     Returns
     -------
@@ -144,35 +151,87 @@ def weber_law_test(fit: Estimates) -> WeberLawTest:
     >>> low < 1.0 < high
     True
     """
+    if isinstance(fit, PopulationFit):
+        return _of_population(fit)
     check_fit(fit)
     _refuse_untestable(fit)
     departures = _departures(fit)
-    noises: dict[str, list[Effect]] = {"law": [], **departures}
     fits = {
         (observer, noise): _fitted(fit, bias, [*nuisance, *departure])
         for observer, (bias, nuisance) in _observers(fit).items()
-        for noise, departure in noises.items()
+        for noise, departure in {"law": [], **departures}.items()
     }
-    evidence = pd.Series({key: one.log_evidence for key, one in fits.items()}, dtype=float)
+    posteriors = {key: one.posterior for key, one in fits.items()}
+    evidence = {key: one.log_evidence for key, one in fits.items()}
+    best = max(fits.values(), key=lambda one: one.log_evidence or -np.inf)
+    return _weighed(evidence, posteriors, departures, best.status, _by_standard(fit))
+
+
+def _of_population(fit: PopulationFit) -> WeberLawTest:
+    """The test of all animals together."""
+    if fit.model is None or fit.population is None:
+        raise Refusal(f"there is no population to test: {fit.status.value}.")
+    kept = list(fit.subjects.loc[fit.subjects["weber_fraction"].notna(), "subject"])
+    animal = fit.fits[kept[0]]
+    _refuse_untestable(animal)
+    departures = _departures(animal)
+    nuisances: dict[str, list[Effect]] = {animal.bias: []}
+    nuisances |= {name: effects for name, (_, effects) in _observers(animal).items() if effects}
+    fits: dict[tuple[str, str], tuple[PopulationModel, Population]] = {}
+    for observer, nuisance in nuisances.items():
+        for noise, departure in {"law": [], **departures}.items():
+            model = fit.model.with_effects([*nuisance, *departure])
+            fits[observer, noise] = model, model.integrated(model.fits(), kept)
+    posteriors = {key: population for key, (_, population) in fits.items()}
+    evidence = {key: one.log_evidence for key, one in posteriors.items()}
+    model, best = fits[max(evidence, key=lambda key: evidence[key])]
+    if best.trouble:
+        status = PopulationStatus.NOT_CONVERGED
+    elif any_fired(pooled_residuals(model.fits(), best, kept)):
+        status = PopulationStatus.MISFIT
+    else:
+        status = PopulationStatus.DETERMINED
+    rows = []
+    for standard in fit.model.trials.standards:
+        part = replace(fit.model, trials=fit.model.trials.select(standard=standard), effects=(),
+                       bias="none" if animal.bias == "none" else "shared")  # fmt: skip
+        fits_there = part.fits()
+        there = part.integrated(fits_there, [one for one in kept if one in fits_there], quick=True)
+        rows.append((standard, part.trials.n_trials, *there.quantile("weber_fraction", LEVELS)))
+    columns = ["standard", "n", "weber_fraction", "lower", "upper"]
+    return _weighed(evidence, posteriors, departures, status, pd.DataFrame(rows, columns=columns))
+
+
+def _weighed(
+    evidences: Mapping[tuple[str, str], float | None],
+    posteriors: Mapping[tuple[str, str], Any],
+    departures: Mapping[str, list[Effect]],
+    status: FitStatus | PopulationStatus,
+    by_standard: pd.DataFrame,
+) -> WeberLawTest:
+    """The test by log evidences and posteriors of observer and noise."""
+    evidence = pd.Series(evidences, dtype=float)
     of_model = evidence.groupby(level=1).agg(lambda e: logsumexp(e) - np.log(e.size))
     law_over = of_model["law"] - of_model[list(departures)]
-    best = {rival: max((o for o, r in fits if r == rival), key=lambda o: evidence[o, rival])
-            for rival in departures}  # fmt: skip
-    by_rival = {
-        rival: (law_over[rival], *fits[best[rival], rival].posterior.quantile(rival, LEVELS))
+    best = {
+        rival: posteriors[max((o, r) for o, r in posteriors if r == rival
+                              and evidence[o, r] == evidence.xs(rival, level=1).max())]
         for rival in departures
+    }  # fmt: skip
+    by_rival = {
+        rival: (law_over[rival], *best[rival].quantile(rival, LEVELS)) for rival in departures
     }
     rivals = pd.DataFrame.from_dict(
         by_rival, "index", columns=["log_bayes_factor", "value", "lower", "upper"]
     ).rename_axis("rival")
     of_rivals = logsumexp(of_model[list(departures)]) - np.log(len(departures))
-    exponent = fits[best["exponent"], "exponent"]
+    believed: Any = departures["exponent"][0].prior
     return WeberLawTest(
         log_bayes_factor=float(of_model["law"] - of_rivals),
         rivals=rivals,
-        least_shown=_least_shown(exponent),
-        status=max(fits.values(), key=lambda one: one.log_evidence or -np.inf).status,
-        by_standard=_by_standard(fit),
+        least_shown=_least_shown(float(believed.var()), best["exponent"].sd("exponent") ** 2),
+        status=status,
+        by_standard=by_standard,
     )
 
 
@@ -254,15 +313,13 @@ def _by_standard(fit: Estimates) -> pd.DataFrame:
     return pd.DataFrame(fitted, columns=["standard", "n", "weber_fraction", "lower", "upper"])
 
 
-def _least_shown(fit: WeberFit, odds: float = 10.0) -> float:
+def _least_shown(prior: float, posterior: float, odds: float = 10.0) -> float:
     """The departure of the exponent from 1 whose Bayes factor would reach such odds.
 
     Prior and likelihood of the exponent as normal: with variances v₀ and v the log Bayes factor of
-    an estimate d away is d² v₀ / (2 v (v + v₀)) − ½ ln(1 + v₀/v).
+    an estimate d away is d² v₀ / (2 v (v + v₀)) − ½ ln(1 + v₀/v). Given are the variances of prior
+    and posterior.
     """
-    believed: Any = next(e.prior for e in fit.model.effects if e.name == "exponent")
-    prior = float(believed.var())
-    posterior = fit.posterior.sd("exponent") ** 2
     if posterior >= 0.95 * prior:
         return np.inf
     v = 1 / (1 / posterior - 1 / prior)

@@ -12,6 +12,7 @@ import weberwhisk as ww
 
 from .. import commands as opt
 from .._util import checks
+from .._util.campaign import all_cores
 from .._util.output import Run, atomic_write, csv_text, to_json
 from .._util.refusals import Refusal
 from .._util.values import counted
@@ -243,10 +244,12 @@ def fit(
         {"metavar": "TABLE"},
     ] = None,
     seed: int = 1,
+    workers: int | None = None,
+    scheduler: str | None = None,
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
-    """Fit the Weber fraction of one observer to a table of choices.
+    """Fit the Weber fraction of one observer, or with --together of many, to a table of choices.
 
     Columns: stimulus_1 and stimulus_2, or standard and comparison, or log_ratio; choice or correct
     (1 or 0), or counts n and n_greater or n_correct. With a whisker the stimuli are radial
@@ -270,16 +273,27 @@ def fit(
             )
         trials = ww.behaviour.with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials) | opt.beliefs(prior) or None
-    if together:
-        if effect or law or method or states != 1:
-            raise Refusal(
-                "--together fits the plain observer, by quadrature",
-                remedy="leave --effect, --states, --law and --method out",
-            )
-        options = {"encoding": encoding, "bias": bias, "noise": noise, "priors": priors}
-        _fit_together(trials, options, inputs, seed, out, as_json)
-        return
     effects = [effect_named(name) for name in effect or ()]
+    if together:
+        if method or states != 1:
+            raise Refusal(
+                "--together fits animals in one state, by weighted draws",
+                remedy="leave --states and --method out",
+            )
+        options = {
+            "encoding": encoding, "bias": bias, "noise": noise, "priors": priors,
+            "effects": effects, "scheduler": scheduler,
+            # Few animals are done before other processes have started.
+            "workers": 1 if workers is None and len(trials.subjects) < 16
+            else all_cores(workers, scheduler),
+        }  # fmt: skip
+        _fit_together(trials, options, inputs, law, seed, out, as_json)
+        return
+    if workers is not None or scheduler is not None:
+        raise Refusal(
+            "--workers and --scheduler fit many subjects at once",
+            remedy="add --together, or leave them out",
+        )
     with Run(out, "fit", inputs, seed) as run:
         result = ww.fit_weber(
             trials, encoding=encoding, bias=bias, noise=noise, effects=effects, states=states,
@@ -392,21 +406,34 @@ def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any]:
 
 
 def _fit_together(
-    trials: ww.Trials, options: dict[str, Any], inputs: dict[str, Any], seed: int,
+    trials: ww.Trials, options: dict[str, Any], inputs: dict[str, Any], law: bool, seed: int,
     out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
+    quiet: dict[str, Any] = {"progress": lambda done: None} if as_json else {}
     with Run(out, "fit", inputs, seed) as run:
-        population = ww.fit_population(trials, seed=seed, **options)
+        population = ww.fit_population(trials, seed=seed, **options, **quiet)
+        report = opt.as_options(population.report())
         run.table("subjects", population.subjects)
+        if population.population is not None:
+            run.table("population", population.summary().reset_index())
+        if len(population.causes):
+            run.table("causes", population.causes.reset_index())
+        answer = population.to_dict()
+        if law:
+            test = ww.behaviour.weber_law_test(population)
+            run.table("law", test.rivals.reset_index())
+            run.table("by_standard", test.by_standard)
+            answer["law"] = test.to_dict()
+            report += f"\nWeber's law.\n{test.report()}\n"
         if run.out_dir is not None:
-            atomic_write(run.path("fit.json"), population.to_json() + "\n")
-            atomic_write(run.path("fit_report.txt"), population.report())
+            atomic_write(run.path("fit.json"), to_json(answer) + "\n")
+            atomic_write(run.path("fit_report.txt"), report)
             atomic_write(run.path("fit_methods.txt"), population.methods() + "\n")
             if population.population is not None:
                 unit = "mm" if options["encoding"] else ""
                 run.figure("shrinkage", ww.plots.shrinkage(population))
                 run.figure("population", ww.plots.population(population, unit=unit))
-    opt.finish(run, as_json, population.to_dict(), population.report())
+    opt.finish(run, as_json, answer, report)
 
 
 def _selected(

@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, rel_entr
 
 from .._util.values import Array, density_quantiles
-from ..behaviour.population import spread_nodes
 from .hypotheses import Hypothesis, SubjectPopulation
+from .population_grid import spread_nodes
 from .scheme import Scheme
 
 __all__ = [

@@ -21,8 +21,9 @@ from .._util import checks
 from .._util.output import csv_text, versions_in_words
 from .._util.refusals import Refusal, argument
 from .._util.values import Array, Shown, counted, interval_text, paragraphs, plain_number
+from ..behaviour.alone import LEFT_OUT
 from ..behaviour.fit import WeberFit
-from ..behaviour.population_fit import LEFT_OUT, PopulationFit, PopulationStatus, fit_population
+from ..behaviour.population_fit import PopulationFit, PopulationStatus, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import STIMULI, Trials
 from ..behaviour.verdict import FitStatus

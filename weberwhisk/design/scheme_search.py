@@ -81,7 +81,7 @@ def best_scheme(
     --------
     >>> from weberwhisk import Whisker
     >>> from weberwhisk.design import Constraints, taper
-    >>> found = best_scheme(taper(Whisker(50e-3, 100e-6, 5e-6)), standards=2, pairs=1,
+    >>> found = best_scheme(taper(Whisker(50e-3, 100e-6, 5e-6)), standards=2, pairs=2,
     ...                     constraints=Constraints(nearest=5e-3, farthest=45e-3), runs=32)
     >>> near, far = found.standards
     >>> near < 15e-3 and far > 35e-3

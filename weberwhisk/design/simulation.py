@@ -2,9 +2,10 @@
 
 Each is drawn, weighed under every hypothesis with the priors of the fit, and left with two results:
 the Bayes factor of the truth, and the interval of the Weber fraction. One animal is fitted by
-itself. Several share a population, as `fit_population` has it: ln k of the animals is normal about
-the population's median. All animals of all experiments share their nodes, so that a population is a
-set of weights of these nodes, and integrals are matrix products.
+itself. Several share a population of k: ln k of the animals is normal about the population's
+median, while lapses and biases of each are integrated for itself (`fit_population` learns these
+from all animals too, and so says no less). All animals of all experiments share their nodes, so
+that a population is a set of weights of these nodes, and integrals are matrix products.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from ..behaviour.axes import score_prior
 from ..behaviour.bulk import log_sum, marginal
 from ..behaviour.fit import fit_weber
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.population import PopulationGrid, spread_nodes
 from ..behaviour.priors import Priors
 from ..behaviour.states import States
 from ..behaviour.trials import STIMULI, Trials
 from .conditions import contrast_experiments
 from .goals import Contrast, Goal
 from .hypotheses import Hypothesis, SubjectPopulation, options_of
+from .population_grid import PopulationGrid, spread_nodes
 from .scheme import Scheme, sized
 
 __all__ = ["Fitted", "compare", "experiments", "fit", "simulate"]

@@ -1,0 +1,165 @@
+"""The animals of a population, each fitted by itself: when first asked for, or on all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from .._util import campaign
+from .._util.values import Array
+from .criticism import UNCHECKED
+from .directions import LOOKED_FOR
+from .fit import WeberFit, fit_weber
+from .importance import ImportancePosterior, Target
+from .likelihood import WeberModel, build_model
+from .posteriors import fraction_curve
+from .trials import Trials
+from .verdict import FitStatus
+
+__all__ = ["DIRECTIONS", "LEFT_OUT", "AnimalFits", "fitted_alone"]
+
+#: What an animal's own answers may be that inform of no Weber fraction.
+LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
+#: Names of effects that are looked for along directions of residuals.
+DIRECTIONS = tuple(effect.name for effect in LOOKED_FOR)
+CHUNKS = 24  # of animals, whatever does them, so that a bar moves
+KEPT = 128  # fits that are kept once made
+DRAWS = 1000.0  # independent draws behind the checks of an animal
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AnimalFits(Mapping[Hashable, WeberFit]):
+    """The fit of each animal with trials to its own data, made when it is first asked for.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import simulate_population
+    >>> trials, _ = simulate_population(3, trials_per_level=10, seed=1)
+    >>> fits = AnimalFits.of(trials, {"bias": "none"})
+    >>> len(fits), fits["s2"].parameters[0]
+    (3, 'weber_fraction')
+    """
+
+    trials: Mapping[Hashable, Trials]
+    options: Mapping[str, Any]
+    seed: int = 1
+    _made: dict[Hashable, WeberFit] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(cls, trials: Trials, options: Mapping[str, Any], seed: int = 1) -> AnimalFits:
+        """Of a table with a column of subjects, and options of `fit_weber`."""
+        each = {subject: trials.select(subject=subject) for subject in trials.subjects}
+        return cls({subject: one for subject, one in each.items() if one.n_trials}, options, seed)
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __iter__(self) -> Iterator[Hashable]:
+        return iter(self.trials)
+
+    def __repr__(self) -> str:
+        return f"<AnimalFits of {len(self)} animals>"
+
+    def __getitem__(self, subject: Hashable) -> WeberFit:
+        if subject not in self._made:
+            made = fit_weber(self.trials[subject], seed=self.seed, **self.options)
+            if len(self._made) >= KEPT:
+                return made
+            self._made[subject] = made
+        return self._made[subject]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_made": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    def quick(self, subject: Hashable) -> WeberFit:
+        """The fit of an animal for its estimates, status and checks: with effects, by fewer draws
+        than one that is kept."""
+        if not self.options["effects"]:
+            return self[subject]
+        o = self.options
+        model, encoding, bias = build_model(
+            self.trials[subject], o["encoding"], o["observer"], o["bias"], o["noise"], o["priors"],
+            o["effects"],
+        )  # fmt: skip
+        posterior = _quick(model)
+        return WeberFit(
+            self.trials[subject], model, encoding, o["noise"], bias, "importance", posterior
+        )
+
+    def model(self, subject: Hashable, whole: bool = False) -> WeberModel:
+        """The model of an animal, with all cells or as few as give its likelihood."""
+        o = self.options
+        model = build_model(
+            self.trials[subject], o["encoding"], o["observer"], o["bias"], o["noise"], o["priors"],
+            o["effects"],
+        )[0]  # fmt: skip
+        return model if whole else model.merged()
+
+
+def fitted_alone(
+    fits: AnimalFits,
+    check: bool,
+    *,
+    workers: int,
+    scheduler: str | None,
+    progress: Callable[[float], None] | None,
+) -> pd.DataFrame:
+    """A row an animal: `alone`, `alone_lower`, `alone_upper`, its `n` trials, its `status`, and of
+    each of `DIRECTIONS` how far its answers go along it, in sds, NaN where that was not checked."""
+    count = len(fits)
+    chunks = [
+        {"animals": numbers.tolist()}
+        for numbers in np.array_split(np.arange(count), min(count, CHUNKS))
+    ]
+    work = partial(_chunk, fits=fits, check=check)
+    table = campaign.run(
+        work, chunks, seed=1, workers=workers, scheduler=scheduler, title="Animals",
+        progress=progress,
+    )  # fmt: skip
+    return table.set_axis(list(fits), axis=0)
+
+
+def _chunk(
+    chunk: dict[str, Any], seed: np.random.SeedSequence, *, fits: AnimalFits, check: bool
+) -> pd.DataFrame:
+    subjects = list(fits)
+    return pd.DataFrame([_row(fits.quick(subjects[number]), check) for number in chunk["animals"]])
+
+
+def _row(fit: WeberFit, check: bool) -> dict[str, Any]:
+    low, middle, high = fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
+    row: dict[str, Any] = {
+        "n": fit.trials.n_trials,
+        "alone": float(middle),
+        "alone_lower": float(low),
+        "alone_upper": float(high),
+        "status": fit.unchecked.name,
+    }
+    row |= dict.fromkeys(DIRECTIONS, np.nan)
+    if check and fit.unchecked not in UNCHECKED:
+        drawn = fit
+        if fit.method == "quadrature":  # whose draws of biases take longer than all else
+            drawn = replace(fit, posterior=_quick(fit.model))
+        seen = drawn.checked["observed"]
+        row |= {name: float(seen[name]) for name in DIRECTIONS if name in seen}
+        # Whatever it does to k: what is behind it, the animals say together.
+        row["status"] = (drawn.unweighed if drawn.unweighed.is_misfit else fit.unchecked).name
+    return row
+
+
+class _QuickPosterior(ImportancePosterior):
+    def score_curve(self) -> tuple[Array, Array]:
+        return fraction_curve(self.model, self.reproducible_draws().thinned(60))
+
+
+def _quick(model: WeberModel) -> _QuickPosterior:
+    target = Target(model.merged())
+    return _QuickPosterior(target, target.weighted(DRAWS))
