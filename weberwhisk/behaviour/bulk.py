@@ -2,16 +2,13 @@
 
 They are zoomed and summed together, with steps fine beside the narrowest peak there can be:
 trapezoid sums over smooth peaks converge exponentially, so that log evidences err by some 0.01.
-`power` integrates thousands of simulated experiments so, and a population each of its animals.
+`power` integrates thousands of simulated experiments so.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import lognorm
 
 from .._util.values import Array
 from .axes import lapse_weights, least_sd
@@ -20,7 +17,7 @@ from .nodes import IMPOSSIBLE, ChoiceNodes
 from .windows import Steps
 from .zoom import zoomed
 
-__all__ = ["log_sum", "marginal", "of_fraction"]
+__all__ = ["log_sum", "marginal"]
 
 
 def marginal(
@@ -28,18 +25,16 @@ def marginal(
     counts: Array,
     cut: float = 5.0,
     steps: Steps | None = None,
-    by_node: bool = False,
 ) -> tuple[Array, Array]:
     """Scores of k (K,), and the log-likelihoods (R, K) there, biases and lapses integrated.
 
     Of counts (R, C), which need not be whole, of a model without effects; a node so many nats under
-    the best counts as empty, or `by_node` under the best with the same k.
+    the best counts as empty.
     """
     # Steps of k and of biases in the least sd they can have: k is interpolated.
     steps = steps or Steps(2.5 * least_sd(model), 1.5, 1.5, 2.0)
     lapse = max(steps.low, 2.0)
-    windows = zoomed(model, counts, Steps(2 * steps.k, lapse, lapse, 2 * steps.bias), cut,
-                     by_node=by_node)  # fmt: skip
+    windows = zoomed(model, counts, Steps(2 * steps.k, lapse, lapse, 2 * steps.bias), cut)
     at = ChoiceNodes(model, windows, steps, counts)
     weights = np.maximum(lapse_weights(model, *at.lapses), IMPOSSIBLE).astype(np.float32)
     out = np.full((len(counts), at.k.size), -np.inf)
@@ -49,21 +44,6 @@ def marginal(
         total = np.where(total > 0.5 * IMPOSSIBLE, total, -np.inf)
         out[block.sets[:, None], block.at] = total.T
     return at.k, _extended(out)
-
-
-def of_fraction(
-    model: WeberModel, middle: float, cut: float = 20.0, vague: float = 0.6
-) -> tuple[Array, Array]:
-    """Nodes of ln k (K,) and the log-likelihood of one animal there, lapses and biases integrated.
-
-    Other animals of a population draw k to where this one's own posterior has nothing: nodes lie
-    about its `middle`, `vague` being the sd of the logarithm, as far as `cut` nats under the best.
-    """
-    believed = replace(model.priors, weber_fraction=lognorm(vague, scale=middle))
-    wide = replace(model, priors=believed)
-    steps = Steps(0.9 * least_sd(wide), 0.8, 0.8, 1.3)
-    scores, log_like = marginal(wide, model.cells.count[None], cut, steps, by_node=True)
-    return np.log(wide.value("weber_fraction", scores)), log_like[0]
 
 
 def _extended(values: Array) -> Array:

@@ -121,11 +121,10 @@ def narrowed(
     high: Profile,
     biases: list[Profile],
     cut: float,
-    by_node: bool = False,
 ) -> Windows:
     """Windows around the nodes of k that matter, within those before.
 
-    A node `cut` nats under the best counts as empty, the best `by_node` being that with the same k.
+    A node `cut` nats under the best counts as empty.
     """
     top = low.values.max(axis=1)  # (K, R)
     least = top.max(axis=0) - cut
@@ -134,7 +133,7 @@ def narrowed(
     ends = _ends(Profile(nodes[None], top[None]), least[None], 1.0)
     limits = before.fraction.ends
     fraction = Span(np.maximum(ends.first[0], limits[0]), np.minimum(ends.last[0], limits[1]))
-    least = top - cut if by_node else np.broadcast_to(least, top.shape)
+    least = np.broadcast_to(least, top.shape)
 
     def window(profile: Profile, old: Span) -> Span:
         ends, (start, end) = _ends(profile, least, 0.15), old.ends

@@ -32,15 +32,13 @@ def zoomed(
     finer: float = 2.0,
     nodes: float = 12.0,
     slack: float = 2.5,
-    by_node: bool = False,
     most: float = 2e9,
 ) -> Windows:
     """Windows of every data set (R, C), of all that is no more than `cut` nats under its best node.
 
     `steps` are those of the last pass here, each `finer` than the one before; the first, over all
     of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
-    there is; the best is that `by_node` where any k may come to matter. Windows stay as
-    they are before a pass of more than `most` values.
+    there is. Windows stay as they are before a pass of more than `most` values.
     """
     windows = whole_prior(model, len(counts))
     widths = [
@@ -61,7 +59,7 @@ def zoomed(
         at = ChoiceNodes(model, windows, steps.times(power**-0.5), counts, power=power)
         if at.size > most:
             break
-        windows = _pass(at, windows, power * cut + slack, by_node)
+        windows = _pass(at, windows, power * cut + slack)
     return windows
 
 
@@ -74,7 +72,7 @@ class _BiasValues(NamedTuple):
     values: Single
 
 
-def _pass(at: ChoiceNodes, windows: Windows, cut: float, by_node: bool) -> Windows:
+def _pass(at: ChoiceNodes, windows: Windows, cut: float) -> Windows:
     """Smaller windows, by the highest log posterior with each node of k and one other."""
     count, size = len(windows.fraction.first), at.k.size
     prior = (at.power * score_prior(at.k)).astype(np.float32)
@@ -98,7 +96,7 @@ def _pass(at: ChoiceNodes, windows: Windows, cut: float, by_node: bool) -> Windo
         for axis, values in zip(at.lapses, (low, high), strict=True)
     )
     of_biases = [_gathered(seen, at.bias_steps[:, g], count) for g, seen in enumerate(biases)]
-    return narrowed(windows, at.k, low_profile, high_profile, of_biases, cut, by_node)
+    return narrowed(windows, at.k, low_profile, high_profile, of_biases, cut)
 
 
 def _gathered(blocks: list[_BiasValues], step: Array, count: int) -> Profile:
