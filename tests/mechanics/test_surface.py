@@ -5,6 +5,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import Outcome
+from weberwhisk.mechanics import profile
+from weberwhisk.mechanics.curved_surface import curved_surface
 from weberwhisk.mechanics.elastica import Surface
 from weberwhisk.mechanics.forward import ForwardModel
 
@@ -57,3 +59,33 @@ def test_a_friction_that_is_given_is_that_of_the_table():
     found, _ = ForwardModel(ww.Whisker(50e-3, 100e-6, 5e-6), friction=0.3).signals([30e-3], [0.2])
     bent = ww.press(ww.Whisker(50e-3, 100e-6, 5e-6), 30e-3, 0.2, 0.3)
     assert found[0] == pytest.approx([bent.moment, bent.axial_force, bent.transverse_force], 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("radius_ratio", "curvature", "friction", "ends"),
+    [
+        (1.63, 9.6, 0.086, None),
+        (2.15, 7.9, 0.138, None),
+        (2.84, 0.7, 0.138, None),
+        (1.63, 9.6, None, (-0.2, 0.2)),
+    ],
+)
+def test_the_limit_of_a_rubbing_whisker_ends_where_its_tip_slips_off(
+    radius_ratio, curvature, friction, ends
+):
+    """By the planar beam, contact by contact: 1e-4 rad short of the limit it is held."""
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, curvature=curvature)
+    surface = curved_surface(w, ends or (friction, friction))
+    # The nodes of distances, between which the first slip lies, are 6 % of the reach apart.
+    share = np.linspace(0.6, 0.95, 141)
+    r, offset = share * surface.reach, np.zeros(share.size)
+    rng = np.random.default_rng(1)
+    given = rng.uniform(*ends, share.size) if ends else np.full(share.size, friction)
+    push = surface.limit(r, given, offset)
+    rest = profile.rest_angle(w, r)
+    inside, beyond = (
+        np.asarray(profile.press(w, r, rest + push + more, given).outcome) for more in (-1e-4, 1e-4)
+    )
+    assert (inside == Outcome.HELD).all()
+    assert Outcome.SLIPPED_OFF_TIP in beyond
+    assert Outcome.HELD not in beyond

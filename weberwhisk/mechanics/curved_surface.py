@@ -218,7 +218,6 @@ class CurvedSurface:
         wide = tuple(np.repeat(a, along) for a in given)
         even = signals.transpose(0, 2, 1) / self._parity(wide)
         values = np.concatenate([even, (arcs / branches.r)[..., None]], axis=-1)
-        slips = (arcs > 1).any(axis=0)
         values = fit(values).transpose(1, 2, 0)
         self._moments = branches.moments
 
@@ -233,9 +232,33 @@ class CurvedSurface:
         fold = ended.point[:, -1] * branches.scale[-1] / room
         self._folds = table(fold[:, None])
         self._signals, self._arcs = table(values[:, :-1]), table(values[:, -1])
-        # No contact nearer than this share of the reach comes to the tip.
-        share = np.tile(self._at(nodes(along)), reach.size)
-        self._safe = 0.98 * float(np.min(share[slips], initial=1.0)) - 0.5 / along**2
+        arcs = values[:, -1].reshape(*axes, along, across)
+        self._safe = 0.98 * self._first_slip(arcs, reach.reshape(axes))
+
+    def _first_slip(self, arcs: Array, reach: Array) -> float:
+        """The least share of the reach at which some contact comes to the tip; 1 where none does.
+
+        Of arcs over distances (..., along, across), polynomials of c at the nodes of conditions and
+        distances, and of reaches (...). Between the nodes of distances a root is looked for, as
+        they are far apart; of conditions there are their nodes and ends.
+        """
+        for axis, count in enumerate(reach.shape):  # the ends beside the nodes
+            place = np.concatenate([[0.0], nodes(count), [1.0]]) if count > 1 else nodes(count)
+            wide = basis(count, place).T
+            wider = [
+                np.tensordot(wide, fit(np.moveaxis(a, axis, 0)), axes=1) for a in (arcs, reach)
+            ]
+            arcs, reach = (np.asarray(np.moveaxis(a, 0, axis), dtype=float) for a in wider)
+        x = np.linspace(0.0, 1.0, 129)[1:]
+        fine = basis(self._along, x).T @ np.moveaxis(fit(np.moveaxis(arcs, -2, 0)), 0, -2)
+        over = (fine @ basis(self._across, np.linspace(0.0, 1.0, 49))).max(axis=-1)
+        over = (over * self._at(x) * reach[..., None] - 1).reshape(-1, x.size)
+        slips = np.flatnonzero((over > 0).any(axis=1))
+        after = np.maximum((over[slips] > 0).argmax(axis=1), 1)
+        low, high = over[slips, after - 1], over[slips, after]
+        share = np.clip(-low / np.maximum(high - low, 1e-300), 0.0, 1.0)
+        root = self._at(x[after - 1] + share * (x[after] - x[after - 1]))
+        return float(np.min(root, initial=1.0))
 
     def _certified(self) -> float:
         """The largest error over lateral force at 60 contacts, against solving each."""
