@@ -14,7 +14,7 @@ DEEPEST = {
     "posterior": (15, 15),
     "fit_weber": (12, 12),
     "power": (20, 18),
-    "locate": (23, 20),
+    "locate": (20, 20),
     "jnd_curve": (16, 15),
 }
 

@@ -78,14 +78,14 @@ def test_a_belief_counted_twice_or_half_moves_k_as_its_fit_does(fit: WeberFit) -
 
 def test_it_is_the_sensitivity_of_arviz(fit: WeberFit, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the same draws; ArviZ smooths weights, which changes next to nothing."""
-    arviz = pytest.importorskip("arviz")
+    arviz, xr = pytest.importorskip("arviz"), pytest.importorskip("xarray")
     draws = fit.posterior.draws()
     monkeypatch.setattr(type(fit.posterior), "reproducible_draws", lambda self: draws)
     table = fit.prior_sensitivity
     data = fit.to_arviz()
     chains = len(data["posterior"]["chain"])
     for belief, log in log_score_density(fit.model, draws).items():
-        data["log_prior"][belief] = (("chain", "draw"), log.reshape(chains, -1))
+        data["log_prior"][belief] = xr.DataArray(log.reshape(chains, -1), dims=("chain", "draw"))
         if arviz.__version__.startswith("0."):
             theirs = arviz.psens(
                 data, component="prior", component_var_names=[belief],
