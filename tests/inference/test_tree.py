@@ -316,6 +316,43 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
             np.testing.assert_allclose(found[i], exact, rtol=0, atol=0.01 * width)
 
 
+@pytest.mark.parametrize(
+    ("k", "contact"),
+    [(0.03, [27.4e-3, 0.6353]), (0.1, [19.85e-3, 0.81]), (0.3, [23.35e-3, 0.7563])],
+)
+def test_ends_of_an_angles_interval_beside_the_fold_are_those_of_a_plain_sum(k, contact):
+    """Over distances and the root of the share short of the fold, in which the fold is smooth."""
+    observer = ww.Observer(W, ForceMap(), Weber(k))
+    p = ww.posterior(observer, observer.read(contact, seed=2))
+    mean, sd = p.estimates["radial_distance"][:2]
+    low, high = max(mean - 25 * sd, 1e-4), min(mean + 25 * sd, 0.9999 * W.length)
+    least, most = 0.0, 1.0
+    for count in (500, 1600):  # where the mass is, then finely there
+        r = low + (np.arange(count) + 0.5) / count * (high - low)
+        root = least + (np.arange(count) + 0.5) / count * (most - least)
+        fold = mechanics.flick_past(W, r).deflection_angle[:, None]
+        angle = fold * (1 - root**2)
+        bent = mechanics.press(W, r[:, None], angle)
+        signals = np.stack([bent.moment, bent.axial_force], axis=-1)
+        log = observer.noise.log_likelihood(p.reading, signals) + np.log(fold * root)
+        heavy = np.argwhere(log > np.nanmax(log) - 22)
+        (low, least), (high, most) = (
+            np.array([r[i], root[j]]) + side * np.array([r[1] - r[0], root[1] - root[0]])
+            for side, (i, j) in ((-1, heavy.min(axis=0)), (1, heavy.max(axis=0)))
+        )
+        low, least = max(low, 0.0), max(least, 0.0)
+    weight = np.exp(log - np.nanmax(log))
+    estimate = p.estimates["deflection_angle"]
+    assert abs(np.average(angle, weights=weight) - estimate.mean) < 1e-4 * estimate.sd
+    edges = np.linspace(angle.min(), angle.max(), 100_001)
+    cumulative = np.cumsum(np.histogram(angle, edges, weights=weight)[0])
+    exact = np.interp([0.025, 0.975], cumulative / cumulative[-1], edges[1:])
+    ends = p.quantile([0.025, 0.975], of="deflection_angle")
+    claimed = p.quantile_error([0.025, 0.975], of="deflection_angle")
+    assert np.all(claimed < 6e-3 * estimate.sd)
+    assert np.all(np.abs(ends - exact) < claimed)
+
+
 def test_draws_have_the_posteriors_moments():
     observer = ww.Observer(W, ForceMap(), Weber(0.3))
     p = ww.posterior(observer, observer.read([35e-3, 0.2], seed=4))
