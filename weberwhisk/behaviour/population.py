@@ -290,10 +290,14 @@ class Population:
         """Posterior quantiles of a parameter of the population."""
         return weighted_quantiles(self.values[parameter], self.draws.weights, probability)
 
+    def mean(self, parameter: str) -> float:
+        """Posterior mean of a parameter of the population."""
+        return float(self.draws.weights @ self.values[parameter])
+
     def sd(self, parameter: str) -> float:
         """Posterior standard deviation of a parameter of the population."""
-        values, weights = self.values[parameter], self.draws.weights
-        return float(np.sqrt(weights @ (values - weights @ values) ** 2))
+        off = self.values[parameter] - self.mean(parameter)
+        return float(np.sqrt(self.draws.weights @ off**2))
 
     @cached_property
     def typical(self) -> Normals:

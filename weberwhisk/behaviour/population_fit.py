@@ -129,7 +129,7 @@ class PopulationFit(Shown):
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
-        return weighted_quantiles(*self._weighed(parameter), probability)
+        return self._with(parameter).quantile(parameter, probability)
 
     def interval(
         self, mass: float = 0.95, parameter: str = "weber_fraction"
@@ -144,12 +144,11 @@ class PopulationFit(Shown):
 
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
         """One row a parameter of the population: mean, sd, median, interval, prior."""
-        hierarchy = self._existing().hierarchy
+        population = self._existing()
+        hierarchy = population.hierarchy
         rows, (first, last) = [], tails(mass)
         for name in self.parameters:
-            values, weight = self._weighed(name)
-            mean = weight @ values
-            sd = np.sqrt(weight @ (values - mean) ** 2)
+            mean, sd = population.mean(name), population.sd(name)
             prior = hierarchy.prior_in_words(name)
             rows.append((mean, sd, *self.quantile(name, [0.5, first, last]), mass, prior))
         columns = ["mean", "sd", "median", "lower", "upper", "mass", "prior"]
@@ -160,10 +159,11 @@ class PopulationFit(Shown):
             raise Refusal(f"there is no population to speak of: {self.status.value}.")
         return self.population
 
-    def _weighed(self, parameter: str) -> tuple[Array, Array]:
+    def _with(self, parameter: str) -> Population:
+        """The population, which has such a parameter."""
         population = self._existing()
         checks.one_of("parameter", parameter, self.parameters)
-        return population.values[parameter], population.draws.weights
+        return population
 
     @property
     def log_evidence(self) -> float:
@@ -466,11 +466,9 @@ def _verdict(
     if len(deciding):
         said = tuple(belief_sentence(str(name), row) for name, row in deciding.iterrows())
         return PopulationStatus.PRIOR_DEPENDENT, said
-    values, mass = population.values["spread"], population.draws.weights
-    sd = np.sqrt(mass @ (values - mass @ values) ** 2)
     hierarchy = population.hierarchy
     prior = hierarchy.spread_priors[hierarchy.spread_names.index("spread")]
-    if sd > of_prior * float(prior.std()):
+    if population.sd("spread") > of_prior * float(prior.std()):
         return PopulationStatus.SPREAD_UNINFORMED, ()
     return PopulationStatus.DETERMINED, ()
 

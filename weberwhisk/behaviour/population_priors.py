@@ -13,14 +13,13 @@ from .._util.refusals import Advice, argument
 from .._util.values import Array, weighted_quantiles
 from .hierarchy import LAPSES, Hierarchy
 from .population import Population
+from .prior_sensitivity import HALF, QUANTILES, TWICE
 
 __all__ = ["DECIDES", "belief_sensitivity", "belief_sentence"]
 
-TWICE, HALF = 2.0, 0.5
 #: A belief that moves the median of ln k or an end of its interval by more posterior sds, counted
 #: twice or half, decides.
 DECIDES = 0.3
-QUANTILES = 0.5, 0.025, 0.975
 
 
 def belief_sensitivity(population: Population) -> pd.DataFrame:

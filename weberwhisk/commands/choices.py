@@ -306,11 +306,7 @@ def fit(
         answer = result.to_dict()
         report = opt.as_options(result.report())
         if law:
-            test = ww.behaviour.weber_law_test(result)
-            run.table("law", test.rivals.reset_index())
-            run.table("by_standard", test.by_standard)
-            answer["law"] = test.to_dict()
-            report += f"\nWeber's law.\n{test.report()}\n"
+            report += _law(run, result, answer)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
@@ -405,6 +401,15 @@ def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any]:
     return {name: stats.beta(*shape.tolist()) for name in trials.task.lapses}
 
 
+def _law(run: Run, fit: Any, answer: dict[str, object]) -> str:
+    """Test Weber's law of a fit, and write its tables; what is added to the report."""
+    test = ww.behaviour.weber_law_test(fit)
+    run.table("law", test.rivals.reset_index())
+    run.table("by_standard", test.by_standard)
+    answer["law"] = test.to_dict()
+    return f"\nWeber's law.\n{test.report()}\n"
+
+
 def _fit_together(
     trials: ww.Trials, options: dict[str, Any], inputs: dict[str, Any], law: bool, seed: int,
     out: Path | None, as_json: bool,
@@ -420,11 +425,7 @@ def _fit_together(
             run.table("causes", population.causes.reset_index())
         answer = population.to_dict()
         if law:
-            test = ww.behaviour.weber_law_test(population)
-            run.table("law", test.rivals.reset_index())
-            run.table("by_standard", test.by_standard)
-            answer["law"] = test.to_dict()
-            report += f"\nWeber's law.\n{test.report()}\n"
+            report += _law(run, population, answer)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
