@@ -90,7 +90,7 @@ def lost(observer: ww.Observer, contact: Any, reading: Any) -> Any:
     out = []
     for i in range(len(reading)):
         leaves = next(found.lattices(np.arange(len(reading)) == i))
-        inside = (np.floor(x[i] / leaves.step) == leaves.place.T).all(axis=1).any()
+        inside = (np.floor(x[i] / leaves.step[:, 0]) == leaves.place.T).all(axis=1).any()
         if density[i] > leaves.log.max() - NATS and not inside:
             out.append(i)
     return np.array(out, dtype=int)

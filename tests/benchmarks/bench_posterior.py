@@ -97,7 +97,7 @@ def whole_reach(count: int = 3000) -> None:
     """Force map over the whole reach, and with its stiffness unknown; curve and surface of JNDs.
 
     Bars: 100 µs (250 at k = 0.3, 300 at a tolerance of 1e-4, 400 with stiffness unknown), a summary
-    5 times that; 1 s on two cores for the curve, 15 s for the surface.
+    3 times that; 1 s on two cores for the curve, 15 s for the surface.
     """
     print(f"\n{count} contacts drawn from the prior; µs each, errors beside tolerance=1e-4")
     force, soft = ForceMap(), UnknownStiffness(ForceMap())

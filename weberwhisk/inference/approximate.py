@@ -302,11 +302,11 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     sums = cell_sums(tree_of(observer, TOLERANCE), readings, drop=41.0)
     counts = np.zeros(len(readings), dtype=int)
     for marginal in sums.marginals():
-        start, step, log = marginal.start, marginal.step, marginal.log
+        start, step, log = marginal.start[:, None], marginal.step[:, None], marginal.log
         # Per metre, where it is flat towards the ends, and cubics between cells make no valleys.
-        cells = start[:, None] + step * np.arange(log.shape[1])
+        cells = start + step * np.arange(log.shape[1])
         x, density = interpolate(log - constrain_distance(cells)[1], 8)
-        log_slope = constrain_distance(start[:, None] + step * x)[1]
+        log_slope = constrain_distance(start + step * x)[1]
         last = log.shape[1] - 1 - np.isfinite(log[:, ::-1]).argmax(axis=1)
         for row, log_density, slope, end in zip(
             marginal.readings, density, log_slope, last, strict=True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -105,11 +105,12 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Lattices:
-    """The last cells of readings, all of one step: a lattice of each, its cells side by side.
+    """The last cells of readings: a lattice of each, its cells side by side.
 
     Attributes
     ----------
-    step : array, shape (U,)
+    step : array, shape (U, n)
+        Of the lattice of each reading.
     readings : array, shape (n,)
         The number of each reading.
     first : array, shape (n,)
@@ -141,7 +142,22 @@ class Lattices:
         counts, cells = self.counts, np.repeat(kept, self.counts)
         first = np.append(0, np.cumsum(counts[kept])[:-1])
         return Lattices(
-            self.step, self.readings[kept], first, self.place[:, cells], self.log[cells]
+            self.step[:, kept], self.readings[kept], first, self.place[:, cells], self.log[cells]
+        )
+
+    @classmethod
+    def joined(cls, several: Sequence[Lattices]) -> Lattices:
+        """Those of all readings of several."""
+        if len(several) == 1:
+            return several[0]
+        cells = [len(each.log) for each in several]
+        before = np.append(0, np.cumsum(cells[:-1]))
+        return cls(
+            np.concatenate([each.step for each in several], axis=1),
+            np.concatenate([each.readings for each in several]),
+            np.concatenate([each.first + n for each, n in zip(several, before, strict=True)]),
+            np.concatenate([each.place for each in several], axis=1),
+            np.concatenate([each.log for each in several]),
         )
 
     def chunks(self, size: int) -> Iterator[Lattices]:

@@ -291,27 +291,18 @@ class Descent:
         first, counts, cells = pairs.first, pairs.counts, pairs.level.cells
         reading = pairs.reading[first]
         at = subset[reading]
-        lattices = Lattices(pairs.level.step, at, first, cells.place[:, pairs.cell], log)
+        step = np.repeat(pairs.level.step[:, None], len(at), axis=1)
+        lattices = Lattices(step, at, first, cells.place[:, pairs.cell], log)
         contact, slope = cells.contact[:, pairs.cell], self.log_slope[reading]
         each = out.add(lattices, contact, slope, self.tree.smooth)
         wide = (each > 0.5 * each.max(axis=0)) & (out.error[at] > self.tree.tolerance)
         # Finer cells find no more of what lies beyond the coarse ones.
-        out.error[at] = np.maximum(out.error[at], self._share_at_ends(lattices))
+        ends = self.tree.inner_ends / pairs.level.step
+        out.error[at] = np.maximum(out.error[at], _share_at_ends(lattices, ends))
         self.refined[reading] += wide.any(axis=0)
         again = wide.any(axis=0) & (self.refined[reading] <= self.tree.refinements)
         again &= counts * 2.0 ** wide.sum(axis=0) <= MOST
         return Halving(wide, again, np.ones(len(reading), dtype=bool))
-
-    def _share_at_ends(self, lattices: Lattices) -> Array:
-        """The share of each mass that is in the first or last coarse cells of an axis, (n,)."""
-        place, (low, high) = lattices.place, self.tree.inner_ends / lattices.step
-        if (place.min(axis=1) >= low).all() and (place.max(axis=1) < high).all():
-            return np.zeros(len(lattices.readings))
-        first = lattices.first
-        weight = np.exp(lattices.log - np.maximum.reduceat(lattices.log, first)[lattices.owner])
-        at_end = ((place < low[:, None]) | (place >= high[:, None])).any(axis=0)
-        share = np.add.reduceat(weight * at_end, first)
-        return np.asarray(share / np.add.reduceat(weight, first))
 
     def _halved(self, pairs: Pairs, halving: Halving) -> list[Pairs]:
         """The cells of readings that go on, those of one pattern of halved axes together."""
@@ -338,3 +329,15 @@ def _solved(root: list[list[Array]], values: list[Array]) -> list[Array]:
             value = value - entry * before
         z.append(value / line[-1])
     return z
+
+
+def _share_at_ends(lattices: Lattices, ends: Array) -> Array:
+    """The share of each mass (n,) that is below or beyond `ends` (2, U) of the axes, in steps."""
+    place, (low, high) = lattices.place, ends
+    if (place.min(axis=1) >= low).all() and (place.max(axis=1) < high).all():
+        return np.zeros(len(lattices.readings))
+    first = lattices.first
+    weight = np.exp(lattices.log - np.maximum.reduceat(lattices.log, first)[lattices.owner])
+    at_end = ((place < low[:, None]) | (place >= high[:, None])).any(axis=0)
+    share = np.add.reduceat(weight * at_end, first)
+    return np.asarray(share / np.add.reduceat(weight, first))

@@ -186,8 +186,10 @@ class LargestAngles:
     def at(self, sums: CellSums, lattices: Lattices) -> Array:
         """At the cells of lattices, (K, P)."""
         observer: Any = sums.observer
-        which = sums.which[lattices.readings[lattices.owner]]
-        contact = observer.contact_at((lattices.place.T + 0.5) * lattices.step, which)
+        owner = lattices.owner
+        which = sums.which[lattices.readings[owner]]
+        x = (lattices.place + 0.5) * lattices.step[:, owner]
+        contact = observer.contact_at(x.T, which)
         least, width = observer.observer.space.angle_range(contact[:, 0], contact)
         share = (contact[:, 1] - least) / np.maximum(width, 1e-300)
         # Over its mean: the integral of exp(−(u/s)⁴) over shares u.
@@ -201,10 +203,10 @@ def _layers(sums: CellSums, spans: Array | None) -> Iterator[tuple[int, Componen
     for marginal in sums.marginals(factors=None if spans is None else LargestAngles(spans)):
         table = marginal.log if marginal.log.ndim > 2 else marginal.log[..., None]
         lengths = np.isfinite(table).any(axis=-1).cumsum(axis=1).argmax(axis=1) + 1
-        for i, start, log, end in zip(
-            marginal.readings, marginal.start, table, lengths, strict=True
+        for i, start, step, log, end in zip(
+            marginal.readings, marginal.start, marginal.step, table, lengths, strict=True
         ):
-            yield int(i), Component(start, marginal.step, log[:end] + sums.log_slope[i])
+            yield int(i), Component(start, step, log[:end] + sums.log_slope[i])
 
 
 class _Curve:

@@ -8,7 +8,7 @@ the density is interpolated by cubics, which is exact for a Gaussian, and integr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -178,7 +178,7 @@ class CellSums:
         each = np.minimum(each, 1e100)
         worst = np.max(each, axis=0)
         self.error[at] = worst**2 if smooth else worst
-        self.log_evidence[at] = top + np.log(total) + np.log(step).sum() + log_slope
+        self.log_evidence[at] = top + np.log(total) + np.log(step).sum(axis=0) + log_slope
         self.log_slope[at] = log_slope
         highest = np.flatnonzero(log == top[owner])
         highest = highest[np.unique(owner[highest], return_index=True)[1]]
@@ -223,15 +223,15 @@ class CellSums:
             with np.errstate(divide="ignore"):
                 log = np.log(mass.reshape(len(low), count, -1)) + top[:, None, None]
             log = log[..., 0] if factors is None else log
-            log += np.log(step[1:]).sum()
-            yield Marginals(lattices.readings, (low + 0.5) * step[0], float(step[0]), log)
+            log += np.log(step[1:]).sum(axis=0).reshape(-1, *[1] * (log.ndim - 1))
+            yield Marginals(lattices.readings, (low + 0.5) * step[0], step[0], log)
 
     def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
         """Spans of the distance, for some readings at a time; half as many with a stride of 2."""
         assert unknown == 0
         for marginal in self.marginals():
             x, log = interpolate(marginal.log, PARTS[0] // stride)
-            x = marginal.start[:, None] + marginal.step * x
+            x = marginal.start[:, None] + marginal.step[:, None] * x
             value = self.observer.distance(x, self.which[marginal.readings])
             yield spans_between(marginal.readings, value, log)
 
@@ -241,33 +241,28 @@ class CellSums:
         if unknown == 0:
             for marginal in self.marginals(among):
                 curves = Cumulative(marginal.log, PARTS[0] // 2)
-                x = marginal.start[:, None] + marginal.step * curves.inverse(p)
+                x = marginal.start[:, None] + marginal.step[:, None] * curves.inverse(p)
                 at = marginal.readings
                 out[at] = self.observer.distance(x, self.which[at])
             return out
-        for lattices in self.lattices(among):
+        lattices: Iterable[Lattices] = self.lattices(among)
+        #: By the number of columns to a step, lattices that need so many.
+        finer: dict[int, list[Lattices]] = {2**n: [] for n in range(1, MOST_STEPS.bit_length())}
+        for steps in (1, *finer):
             # Columns of a lattice are some tens, with some tens of cells each.
-            size = max(1, NUMBERS * len(lattices.readings) // (8 * PARTS[1] * len(lattices.log)))
-            for chunk in lattices.chunks(size):
+            for chunk in _in_batches(lattices, NUMBERS // (8 * PARTS[1] * steps)):
                 at = chunk.readings
-                columns = Columns(chunk, self.observer, self.which[at], 1)
+                columns = Columns(chunk, self.observer, self.which[at], steps)
                 mean, sd = self.mean[at, 1], self.sd[at, 1]
-                needed, steps = columns.steps_needed(mean, sd), 1
-                crude = np.asarray(needed > steps)
-                if not crude.all():
-                    enough = ~crude
+                needed = columns.steps_needed(mean, sd) if steps == 1 else np.full(len(at), steps)
+                enough = np.asarray(needed <= steps)
+                if enough.any():
                     out[at[enough]], off = columns.quantiles(p, mean, sd, enough)
-                    crude[enough] = off > HALVES
-                while crude.any() and steps < MOST_STEPS:
-                    chunk, needed, steps = chunk.of(crude), needed[crude], 2 * steps
-                    crude = np.asarray(needed > steps)
-                    ready = () if crude.all() else chunk.of(~crude).chunks(size // steps or 1)
-                    for lattice in ready:
-                        at = lattice.readings
-                        columns = Columns(lattice, self.observer, self.which[at], steps)
-                        mean, sd = self.mean[at, 1], self.sd[at, 1]
-                        out[at], off = columns.quantiles(p, mean, sd, np.ones(len(at), dtype=bool))
-                        crude[np.isin(chunk.readings, at)] = off > HALVES
+                    needed[enough] = np.where(off > HALVES, 2 * steps, steps)
+                needed = np.minimum(needed, MOST_STEPS)
+                for more in np.unique(needed[needed > steps]):
+                    finer[int(more)].append(chunk.of(needed == more))
+            lattices = finer.get(2 * steps, ())
         return out
 
     # -- draws -------------------------------------------------------------------------------------
@@ -287,7 +282,7 @@ class CellSums:
         weight /= weight.sum()
         chosen = rng.choice(len(weight), count, p=weight)
         middle = lattice.place[:, chosen].T + 0.5
-        x = (middle + rng.random(middle.shape) - 0.5) * step
+        x = (middle + rng.random(middle.shape) - 0.5) * step.T
         return x, np.log(weight[chosen]) - np.log(step).sum()
 
     def draws(self, count: int, rng: np.random.Generator, readings: Array) -> Array:
@@ -300,6 +295,21 @@ class CellSums:
         return out
 
 
+def _in_batches(lattices: Iterable[Lattices], cells: int) -> Iterator[Lattices]:
+    """Lattices of any steps joined, until they have so many cells."""
+    batch: list[Lattices] = []
+    count = 0
+    for each in lattices:
+        for part in each.chunks(max(1, cells * len(each.readings) // len(each.log))):
+            batch.append(part)
+            count += len(part.log)
+            if count >= cells:
+                yield Lattices.joined(batch)
+                batch, count = [], 0
+    if batch:
+        yield Lattices.joined(batch)
+
+
 # -- cumulative densities --------------------------------------------------------------------------
 
 
@@ -307,13 +317,13 @@ class CellSums:
 class Marginals:
     """ln of densities of the first coordinate at even places, of readings (n,).
 
-    The first place (n,) and the step; ln of the density is (n, L), or (n, L, K) by K factors; −inf
-    where there is no cell.
+    The first place (n,) and the step (n,); ln of the density is (n, L), or (n, L, K) by K factors;
+    −inf where there is no cell.
     """
 
     readings: Index
     start: Array
-    step: float
+    step: Array
     log: Array
 
 
@@ -443,11 +453,11 @@ class Columns:
         self.weight = np.exp(self.curves.log_top - top[self.owner])
         self.total = np.add.reduceat(self.weight * self.curves.total, self.first)
         self.start = (lowest[present] + 0.5)[:, None]
-        self.step = lattices.step[1]
+        step, self.step = lattices.step[0, self.owner], lattices.step[1, self.owner, None]
         place_in = left[self.owner] + present % width
         #: Whether a column is one of every other.
         self.odd_columns = np.asarray(place_in % 2 == 1)
-        x = (place_in / steps + 0.5) * lattices.step[0]
+        x = (place_in / steps + 0.5) * step
         self.scale = observer.second_scale(x, which[self.owner])
         low, high = self.scale.low, np.maximum.reduceat(self.scale.high, self.first)
         #: The least value (n, 1) that the second unknown may have, and the largest.
@@ -495,7 +505,7 @@ class Columns:
         mine = np.flatnonzero(among[self.owner])
         number = np.cumsum(among) - 1
         owner = number[self.owner[mine]]
-        x = self.scale.coordinate(value[owner], mine) / self.step - self.start[mine]
+        x = self.scale.coordinate(value[owner], mine) / self.step[mine] - self.start[mine]
         below = self.weight[mine, None] * self.curves.at(x, mine)
         first = np.flatnonzero(np.diff(owner, prepend=-1))
         below = np.add.reduceat(below, first, axis=0) / self.total[among, None]
@@ -611,16 +621,17 @@ def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
          -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6]
     )  # fmt: skip
     m = pad.shape[1] - 3
-    out = pad[:, :m, None] * cubic[0]
-    term = np.empty_like(out)
-    for i in (1, 2, 3):
-        out += np.multiply(pad[:, i : i + m, None], cubic[i], out=term)
     # Beside a cliff a cubic overshoots.
     ceiling = np.maximum(pad[:, 1 : 1 + m], pad[:, 2 : 2 + m]) + 0.5
-    np.minimum(out, ceiling[..., None], out=out)
-    x, out = np.arange(m * per_step + 3) / per_step - 1.0, out.reshape(n, -1)
+    out, term = np.empty((n, m, per_step)), np.empty((n, m))
+    for k in range(per_step):
+        value = pad[:, :m] * cubic[0, k]
+        for i in (1, 2, 3):
+            value += np.multiply(pad[:, i : i + m], cubic[i, k], out=term)
+        np.minimum(value, ceiling, out=out[..., k])
+    x = np.arange(m * per_step + 3) / per_step - 1.0
     # The longest row ends as the others do, so that a row is the same whatever rows it is with.
-    out = np.concatenate([out, pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
+    out = np.concatenate([out.reshape(n, -1), pad[:, -2:-1], np.full((n, 2), -np.inf)], axis=1)
     beyond = (x < first[:, None] - 1) | (x > last[:, None] + 1)
     out[np.asarray(beyond | unknown[:, None])] = -np.inf
     return x, out
@@ -629,19 +640,22 @@ def interpolate(log: Array, per_step: int) -> tuple[Array, Array]:
 def _filled(log: Array) -> Array:
     """ln of densities (n, L) with three more to either side, and with gaps filled; 0 if unknown."""
     n, count = log.shape
-    pad = np.full((n, count + 6), -np.inf)
-    pad[:, 3:-3] = log
+    pad = np.full((count + 6, n), -np.inf)  # places first, as one place is filled at a time
+    pad[3:-3] = log.T
+    is_finite = np.isfinite(pad)
     for order in (range(3, count + 6), range(count + 2, -1, -1)):
         side = 1 if order[0] < order[-1] else -1
         for j in order:
-            gap = ~np.isfinite(pad[:, j]) & np.isfinite(pad[:, j - side])
+            gap = is_finite[j - side] & ~is_finite[j]
             if gap.any():
-                a, b, c = (pad[gap, j - k * side] for k in (1, 2, 3))
+                a, b, c = (pad[j - k * side] for k in (1, 2, 3))
                 with np.errstate(invalid="ignore"):
                     on = np.minimum(3 * a - 3 * b + c, 2 * a - b)
-                    pad[gap, j] = np.where(np.isfinite(on), np.minimum(on, a - 1), a - 8)
-    pad[~np.isfinite(pad).any(axis=1)] = 0.0
-    return pad
+                    on = np.where(np.isfinite(on), np.minimum(on, a - 1), a - 8)
+                np.copyto(pad[j], on, where=gap)
+                is_finite[j] |= gap
+    pad[:, ~is_finite.any(axis=0)] = 0.0
+    return pad.T
 
 
 def extrapolated(full: Iterator[Spans], halved: Iterator[Spans], p: Array, count: int) -> Array:
