@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 from scipy.special import ndtr
+from short_forms import slow_but
 
 from weberwhisk.behaviour import (
     Trials,
@@ -218,7 +219,9 @@ def test_without_a_standard_nothing_is_concluded_that_needs_one() -> None:
 # -- order and people -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("by", [["stimulus_1"], ["stimulus_1", "stimulus_2", "choice"]])
+@pytest.mark.parametrize(
+    "by", slow_but([["stimulus_1"], ["stimulus_1", "stimulus_2", "choice"]], (0,))
+)
 def test_a_sorted_table_has_no_check_of_order_and_says_so(
     by: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -245,7 +245,7 @@ def test_the_rat_needs_a_bias_per_standard() -> None:
 
 
 def test_the_rat_is_not_always_engaged() -> None:
-    trials = load_rat_auditory(range(31, 36))
+    trials = load_rat_auditory(range(31, 33))
     one, three = (fit_weber(trials, bias="per standard", states=n) for n in (1, 3))
     assert one.status is FitStatus.MISFIT_STREAKS
     assert one.search.chosen is not None

@@ -153,7 +153,7 @@ def test_the_fit_is_the_same_or_a_note_says_why_not(
 
 
 def test_selecting_each_subject_takes_as_long_whatever_their_number() -> None:
-    """Of a thousand it took six times as long a subject as of a hundred."""
+    """Of a thousand it took six times as long a subject as of a hundred; of 500 beside 25, more."""
     rng = np.random.default_rng(1)
 
     def seconds(subjects: int) -> float:
@@ -169,4 +169,4 @@ def test_selecting_each_subject_takes_as_long_whatever_their_number() -> None:
             assert trials.select(subject=subject).n_trials == 306
         return (time.process_time() - start) / subjects
 
-    assert seconds(1000) <= 3 * min(seconds(100) for _ in range(3))
+    assert seconds(500) <= 3 * min(seconds(25) for _ in range(3))

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_lines import SOFT, answer, refused, rows
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -47,11 +48,14 @@ def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize(
     "scene",
-    [
-        ["--standard", "50,100"],
-        ["--identity", "C2", "--standard-mm", "15,24"],
-        ["--identity", "C2", "--cue", "force-map", "--standard-mm", "20"],
-    ],
+    slow_but(
+        [
+            ["--standard", "50,100"],
+            ["--identity", "C2", "--standard-mm", "15,24"],
+            ["--identity", "C2", "--cue", "force-map", "--standard-mm", "20"],
+        ],
+        (0, 1),
+    ),
 )
 def test_simulate_and_fit_find_the_truth_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: list[str]

@@ -75,7 +75,10 @@ def test_a_plan_of_conditions_comes_back_and_says_what_it_is(plan: Plan) -> None
 
 
 def test_conditions_are_analysed_and_drawn(
-    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plan: Plan,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ww.write_plan(plan, tmp_path / "plan")
     chunk: dict[str, Any] = {"truth": "Weber's law", "run": 1}
@@ -83,9 +86,14 @@ def test_conditions_are_analysed_and_drawn(
     assert row["lower"] < row["estimate"] < row["upper"]
     lists = pd.read_csv(tmp_path / "plan" / "trials.csv")
     right = (lists["greater"] == 2).astype(int)
-    rate = np.where(lists["condition"] == "drug", 0.25, 0.1)
-    wrong = np.random.default_rng(1).random(len(lists)) < rate
-    lists.assign(choice=right ^ wrong).to_csv(tmp_path / "data.csv", index=False)
+    k = np.where(lists["condition"] == "drug", 0.25, 0.1)
+    s1, s2 = lists["stimulus_1_g"], lists["stimulus_2_g"]
+    p = norm.cdf((s2 - s1) / (k * np.hypot(s1, s2)))
+    choice = (np.random.default_rng(1).random(len(lists)) < p).astype(int)
+    lists.assign(choice=choice).to_csv(tmp_path / "data.csv", index=False)
+    drawn: list[Any] = []
+    draw = plots.analysed
+    monkeypatch.setattr(plots, "analysed", lambda result: drawn.append(draw(result)) or drawn[0])
     command = ["analyse", str(tmp_path / "plan" / "plan.json"), str(tmp_path / "data.csv")]
     assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
@@ -94,9 +102,9 @@ def test_conditions_are_analysed_and_drawn(
     assert "--only condition=saline" in said
     table = pd.read_csv(tmp_path / "out" / "analysis.csv")
     assert table.groupby("condition").size().to_dict() == {"drug": 2, "saline": 2}
-    trials = ww.read_trials(pd.read_csv(tmp_path / "out" / "analysed_trials.csv"))
-    result = plan.analyse(trials)
-    assert faults(plots.style.figure_of(plots.analysed(result))) == []
+    again = ww.read_trials(pd.read_csv(tmp_path / "out" / "analysed_trials.csv"))
+    assert again.n_trials == len(lists)
+    assert faults(plots.style.figure_of(drawn[0])) == []
     lists.drop(columns="condition").assign(choice=right).to_csv(tmp_path / "data.csv", index=False)
     assert run_app(app, command) == 2
     assert "write in it in which each trial was run" in capsys.readouterr().err

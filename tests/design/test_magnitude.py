@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from figure_checks import faults
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import plots
@@ -66,6 +67,7 @@ def test_a_plan_has_no_word_of_whiskers(planned: Path) -> None:
     assert f" {magnitude.unit} against " in text or not magnitude.unit
 
 
+@pytest.mark.parametrize("planned", slow_but(PLANS, (0, 4)), indirect=True)
 def test_its_figures_can_be_read(planned: Path) -> None:
     plan = ww.read_plan(planned / "plan.json")
     for axes in (plots.planned_jnds(plan), plots.planned_psychometrics(plan),
@@ -78,6 +80,7 @@ def test_its_figures_can_be_read(planned: Path) -> None:
         assert "e+0" not in shown
 
 
+@pytest.mark.parametrize("planned", slow_but(PLANS, (2, 4)), indirect=True)
 def test_its_answers_are_analysed_in_its_unit(planned: Path, tmp_path: Path, capsys) -> None:
     """As a keyboard and as a table of choices has them."""
     plan = ww.read_plan(planned / "plan.json")
@@ -301,12 +304,12 @@ def test_next_analyse_and_fit_agree_on_one_session(
 @pytest.mark.parametrize("runs", [24, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("magnitude", "options"),
-    [
+    slow_but([
         ("duration", {"standards": [300, 600, 1200], "goal": Precision(0.25), "trials": 40}),
         ("weight", {"standards": [100, 400], "rival": "exponent:0.5", "trials": 30}),
         ("sound level", {"standards": [40, 60], "conditions": ["quiet", "noise"], "animals": 3,
                          "goal": ww.design.Contrast(1.4), "trials": 24}),
-    ],
+    ], (0,)),
 )  # fmt: skip
 def test_simulated_studies_have_the_power_of_their_plan(
     magnitude: str, options: dict[str, Any], runs: int

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import savemat
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.cli import app, run_app
@@ -79,7 +80,7 @@ def planned(
     return folder, plan, answer, direct
 
 
-@pytest.mark.parametrize("rig", ["psychopy", "bpod", "bpod's own", "own"])
+@pytest.mark.parametrize("rig", slow_but(["psychopy", "bpod's own", "bpod", "own"], (0, 1)))
 def test_a_plan_is_analysed_on_a_rigs_own_table(
     planned: tuple[Path, Plan, pd.Series, AnalysisResult],
     rig: str,

@@ -10,14 +10,12 @@ from first_day import play
 
 
 def test_users_get_what_they_came_for(tmp_path: Path) -> None:
+    """Of each kind one: what the others type runs in tests/commands, design and recordings."""
     day = play.Day(Path(sys.executable), tmp_path)
     play.own_choices(day)
-    play.a_design(day, "--trials", "10", "--runs", "0")
     play.an_infeasible_design(day)
-    play.durations(day, "--trials", "10", "--runs", "0")
     play.a_rodent_lab(day, "--trials", "20", "--runs", "0")
     play.the_paper(day, readings=8)
-    play.a_tracked_video(day)
     commands = [user for user, _, _ in day.typed]
     assert all(commands.count(user) <= most for user, (most, _) in play.BARS.items())
 

@@ -552,7 +552,7 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     assert np.allclose(measured.mean, exact.mean, atol=1e-6 * exact.sd)
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.slow)])
 def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     """Beyond the memory that is set there are those of one step, and of one reading at the most."""
     split, most = tree.Tree.split, []

@@ -264,13 +264,12 @@ def test_columns_of_distance_and_slope_by_any_name(
     plain = ww.calibrate(taps, NOMINAL).parameters
     names = {"radial_distance": "Abstand", "moment_rate": "Steigung"}
     own = taps.set_axis([*names.values()], axis=1)
-    for unit, scale in (("mm", 1.0), ("cm", 0.1), ("m", 1e-3)):
-        table = own.assign(Abstand=scale * own["Abstand"])
-        found = ww.calibrate(table, NOMINAL, columns=names, units={"radial_distance": unit})
-        pd.testing.assert_frame_equal(found.parameters, plain)
-        suffixed = table.rename(columns={"Abstand": f"d [{unit}]"})
-        found = ww.calibrate(suffixed, NOMINAL, columns=names | {"radial_distance": f"d [{unit}]"})
-        pd.testing.assert_frame_equal(found.parameters, plain)
+    table = own.assign(Abstand=0.1 * own["Abstand"])
+    found = ww.calibrate(table, NOMINAL, columns=names, units={"radial_distance": "cm"})
+    pd.testing.assert_frame_equal(found.parameters, plain)
+    table = own.assign(Abstand=1e-3 * own["Abstand"]).rename(columns={"Abstand": "d [m]"})
+    found = ww.calibrate(table, NOMINAL, columns=names | {"radial_distance": "d [m]"})
+    pd.testing.assert_frame_equal(found.parameters, plain)
     with pytest.raises(ValueError, match=r"in metres: write units=\{'radial_distance': 'mm'\}"):
         ww.calibrate(own, NOMINAL, columns=names)
     path = tmp_path / "taps.csv"
