@@ -4,12 +4,21 @@
 again; of a folder or a file that is named, its part. It is CPU time, as wall time depends on what
 else runs, and of children too, as some tests start processes. What a shared fixture takes counts
 for every test that needs it: without the others, any of them has to wait for it.
+
+The quick tier is what lies under the limit and `quick.txt`: those of the others that reach most
+statements of the package a second, up to the share that the README promises and some more. Choose
+them again with coverage and pytest-cov installed::
+
+    python -m pytest -m "not slow" -n auto --cov=weberwhisk --cov-context=test --cov-report=
+    python tests/durations.py .coverage
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -19,33 +28,64 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIST = Path(__file__).with_name("durations.txt")
+QUICK = Path(__file__).with_name("quick.txt")
 #: CPU seconds; of a test with parameters the mean of its cases.
-LIMIT = 0.5
-#: Tests that take longer and are quick all the same: the only ones of the quick tier that run a
-#: plan's files, figures and analysis, tracked signals, a power, mixtures over shapes and noise, the
-#: place of an object, contacts at which flank and tip alternate, and touches of one distance.
-QUICK = {
-    "tests/array/test_array.py::test_one_whisker_alone_says_what_its_posterior_says",
-    "tests/design/test_power.py::test_power_is_that_of_a_brute_force_simulation",
-    "tests/inference/test_touches.py::test_one_touch_is_todays_posterior",
-    "tests/recordings/test_locate.py::test_own_names_units_signs_and_index",
-    "tests/recordings/test_tracking_signals.py::test_a_session_gives_back_its_distances",
-    "tests/sweeping/test_objects.py::test_a_wall_is_met_with_the_tip_then_with_the_flank",
-    "weberwhisk/array/place.py::weberwhisk.array.place.place",
-    "weberwhisk/design/plan.py::weberwhisk.design.plan.analyse",
-    "weberwhisk/plots/designs.py::weberwhisk.plots.designs.rehearsed",
-    "weberwhisk/plots/designs.py::weberwhisk.plots.designs.write_plan",
-}
+LIMIT = 0.25
+#: Share of the package's statements that the quick tier reached when its tests were chosen.
+SHARE = 0.93
 HEAD = f"""\
 # Tests that take more than {LIMIT} s of CPU time, those with parameters in the mean of their cases:
-# they are marked dear. Written by `python -m pytest --measure -n auto`.
+# they are dear, but for those of quick.txt. The second column is what all cases took together, with
+# a shared fixture where it was made. Written by `python -m pytest --measure -n auto`.
 """
 
 
-def dear() -> dict[str, float]:
-    """CPU seconds of the tests that are dear, by node id without parameters."""
+def measured() -> dict[str, tuple[float, float]]:
+    """CPU seconds of a case and of all, of the tests over the limit, without parameters."""
     rows = (line.split() for line in LIST.read_text("utf-8").splitlines() if line[0] != "#")
-    return {name: float(seconds) for seconds, name in rows}
+    return {name: (float(case), float(all_cases)) for case, all_cases, name in rows}
+
+
+def quick() -> list[str]:
+    """Tests over the limit that are quick all the same."""
+    return [line for line in QUICK.read_text("utf-8").splitlines() if line[0] != "#"]
+
+
+def dear() -> dict[str, float]:
+    """CPU seconds of all cases of the tests that are dear."""
+    kept = {*quick()}
+    return {name: seconds for name, (_, seconds) in measured().items() if name not in kept}
+
+
+def choose(file: str) -> tuple[list[str], float]:
+    """The tests for `quick.txt` by a file of coverage with a context a test, and their share."""
+    import coverage
+
+    data = coverage.CoverageData(file)
+    data.read()
+    analysis = coverage.Coverage(data_file=file)
+    analysis.load()
+    seconds = {name: max(row) for name, row in measured().items()}
+    reached, left = set[tuple[str, int]](), defaultdict[str, set[tuple[str, int]]](set)
+    over, count = {*seconds}, 0
+    for path in data.measured_files():
+        statements = {*analysis.analysis2(path)[1]}
+        count += len(statements)
+        for line, contexts in data.contexts_by_lineno(path).items():
+            names = {without_parameters(context.partition("|")[0]) for context in contexts}
+            if line not in statements:
+                continue
+            if names <= over:
+                for name in names:
+                    left[name].add((path, line))
+            else:  # at import, or by a test under the limit
+                reached.add((path, line))
+    chosen: list[str] = []
+    while left and len(reached) < SHARE * count:
+        best = max(left, key=lambda name: len(left[name] - reached) / seconds[name])
+        chosen.append(best)
+        reached |= left.pop(best)
+    return sorted(chosen), len(reached) / count
 
 
 def without_parameters(node_id: str) -> str:
@@ -70,7 +110,8 @@ class Measure:
     """A plugin that measures the tests that run, and writes the list at the end."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, list[float]] = {}
+        self.seconds: dict[str, list[float]] = {}  # with the shared fixtures of each
+        self.own: dict[str, list[float]] = {}  # as they ran
         self.shared: dict[tuple[str, str], float] = {}
         self.start = self.in_shared = 0.0
         self.depth = 0
@@ -99,26 +140,36 @@ class Measure:
         finally:
             names, places = getattr(item, "fixturenames", ()), [n.nodeid for n in item.listchain()]
             needed = sum(self.shared.get((at, n), 0.0) for at in places for n in names)
-            seconds = cpu_time() - self.start - self.in_shared + needed
-            item.user_properties.append(("cpu_time", seconds))
+            own = cpu_time() - self.start
+            item.user_properties.append(("cpu_time", (own - self.in_shared + needed, own)))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "teardown":
             name = without_parameters(report.nodeid)
-            seconds = [value for key, value in report.user_properties if key == "cpu_time"]
-            self.seconds.setdefault(name, []).extend(seconds)
+            for seconds, own in (v for key, v in report.user_properties if key == "cpu_time"):
+                self.seconds.setdefault(name, []).append(seconds)
+                self.own.setdefault(name, []).append(own)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if hasattr(session.config, "workerinput"):  # the process that started it writes
             return
-        means = {name: sum(each) / len(each) for name, each in self.seconds.items() if each}
-        before = {name: s for name, s in dear().items() if name not in means and exists(name)}
-        after = before | {name: seconds for name, seconds in means.items() if seconds > LIMIT}
-        after = {name: seconds for name, seconds in after.items() if name not in QUICK}
-        rows = (f"{seconds:6.1f} {name}\n" for name, seconds in sorted(after.items()))
+        before = {name: row for name, row in measured().items() if exists(name)}
+        for name, cases in self.seconds.items():
+            before.pop(name, None)
+            if cases and (mean := sum(cases) / len(cases)) > LIMIT:
+                before[name] = mean, sum(self.own[name])
+        rows = (f"{a:6.2f} {b:6.1f} {name}\n" for name, (a, b) in sorted(before.items()))
         LIST.write_text(HEAD + "".join(rows), "utf-8")
 
 
 def cpu_time() -> float:
     """Of this process and of those that it started and that ended, s."""
     return sum(os.times()[:4])
+
+
+if __name__ == "__main__":
+    names, share = choose(sys.argv[1])
+    head = (
+        f"# Dear tests of the quick tier, which reached {share:.1%} of the statements with them.\n"
+    )
+    QUICK.write_text(head + "".join(f"{name}\n" for name in names), "utf-8")
