@@ -354,7 +354,7 @@ def test_bins_hold_as_many_trials_each_and_equal_places_together() -> None:
     assert plots.choices._bins(x, np.ones(6), 100).tolist() == [0, 0, 1, 2, 3, 3]
 
 
-@pytest.mark.parametrize("animals", [30, 100])
+@pytest.mark.parametrize("animals", [30, pytest.param(100, marks=pytest.mark.slow)])
 def test_populations_of_many_animals_can_be_read(
     animals: int, population: ww.behaviour.PopulationFit
 ) -> None:

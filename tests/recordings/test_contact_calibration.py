@@ -182,7 +182,7 @@ def test_the_density_of_taps_is_that_by_hand() -> None:
     assert (gross >= 0.9).nonzero()[0].tolist() == [5, 18, 19]
 
 
-@pytest.mark.parametrize("off", [9 * 0.027, 0.9])
+@pytest.mark.parametrize("off", [9 * 0.027, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_two_gross_taps_of_two_hundred_are_named_and_spoil_nothing(off: float) -> None:
     rng = np.random.default_rng(7)
     r = np.repeat(np.linspace(0.03, 0.105, 10), 20)
