@@ -15,6 +15,7 @@ from weberwhisk.cues import (
     ForceMap,
     SpaceMap,
     TwoWhiskers,
+    UnknownCurvature,
     UnknownRoll,
     UnknownStiffness,
 )
@@ -303,3 +304,17 @@ def test_draws_and_quantiles_of_a_roll_agree_and_stay_in_its_prior():
         assert draws[:, i].mean() == pytest.approx(
             found.estimates[name].mean, abs=0.05 * np.std(draws[:, i])
         )
+
+
+def test_a_column_with_room_for_the_least_angle_alone_is_below_every_angle():
+    """At the end of the reach the largest angle comes down to 0: 0/0 was a place in no table.
+
+    Ends of the interval are those of plain sums (`analyses/accuracy/truth.csv`, row 114).
+    """
+    whisker = ww.Whisker(33.796e-3, 107.52e-6, 13.136e-6, youngs_modulus=3e9)
+    cue = UnknownCurvature(ForceMap(), spread=1.67)
+    observer = ww.Observer(whisker, cue, GeneralisedWeber([0.1119, 0.1119], floor=[0.0, 3.3423e-5]))
+    found = ww.posterior(observer, [3.7534579291374014e-07, 3.2262725766036066e-05])
+    sd = found.estimates["deflection_angle"].sd
+    ends = found.interval(of="deflection_angle")
+    np.testing.assert_allclose(ends, [0.004781131548, 0.1271114203], atol=1e-2 * sd)

@@ -336,7 +336,9 @@ class AngleScale:
     def coordinate(self, value: Array, which: Index) -> Array:
         """The coordinates (m, Q) of angles (m, Q), at distances `which` (m,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            fraction = np.clip((value - self.low) / self.width[which, None], 0.0, 1.0)
+            width = self.width[which, None]
+            # Where there is room for the least angle alone, all of it lies below.
+            fraction = np.where(width > 0, np.clip((value - self.low) / width, 0.0, 1.0), 1.0)
             return unconstrain_angle(fraction) + self.log_gain[which, None]
 
 
