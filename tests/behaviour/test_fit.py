@@ -13,6 +13,7 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 
+from weberwhisk._util.values import interval_text
 from weberwhisk.behaviour import (
     FitStatus,
     Priors,
@@ -250,9 +251,11 @@ def test_thresholds_say_what_was_taken_out_and_the_report_has_the_point_of_equal
     assert there == pytest.approx(0.75, abs=0.02)
     assert not_there < 0.25
     text = fit.report()
-    assert 'From standard 200, point of subjective equality (50 % "second greater", 2AFC, ' in text
-    assert f"bias kept): comparison {equal['comparison']:.4g} (" in text
-    assert "lapses and bias removed: comparison 21" in text
+    assert 'PSE, the point of subjective equality: 50 % "second greater", 2AFC, ' in text
+    assert 'JND, from the standard to 75 % "second greater", 2AFC, lapses and bias removed.' in text
+    jnd = interval_text(*(sensitivity[["comparison", "lower", "upper"]] - 200))
+    said = f"From standard 200: PSE {interval_text(*equal[['comparison', 'lower', 'upper']])}"
+    assert f"{said}; JND {jnd}." in text
     (row,) = json.loads(fit.to_json())["points_of_subjective_equality"]
     assert row["comparison"] == equal["comparison"]
 

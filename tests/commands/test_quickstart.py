@@ -14,6 +14,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import cli
+from weberwhisk._util.values import interval_text
 from weberwhisk.behaviour import load_rat_auditory
 from weberwhisk.cli import run_app
 from weberwhisk.commands import quickstart
@@ -118,7 +119,7 @@ def test_the_text_says_what_was_found(folder: Path, numbers: dict) -> None:
     rat, curve = numbers["rat"], numbers["jnd_curve"]
     for words in (
         f"{rat['data']['n_trials']} choices",
-        f"{rat['weber_fraction']:.3g}, 95 % between {rat['lower']:.3g} and {rat['upper']:.3g}",
+        interval_text(rat["weber_fraction"], rat["lower"], rat["upper"]),
         f"{curve['tapered']['within_95_percent']} of 10 tapered points",
         "psytrack package",
         "unit is not published",

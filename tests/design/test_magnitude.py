@@ -16,9 +16,11 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import plots
+from weberwhisk._util.values import interval_text
 from weberwhisk.behaviour import IdentityEncoding
 from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cli import app, run_app
+from weberwhisk.commands.plans import rig_trials
 from weberwhisk.design import Goal, Hypothesis, Precision, Scheme, SubjectPopulation
 from weberwhisk.design.magnitude import DISTANCE, Magnitude, magnitude_named
 from weberwhisk.design.plan import sha256_of
@@ -263,6 +265,27 @@ def test_trials_that_are_missing_are_said(
         answer = json.loads(capsys.readouterr().out)
         assert (answer["missing"], answer["not_planned"]) == (missing, 0)
         assert answer["as_planned"] == (missing == 0)
+
+
+def test_the_analysis_has_equality_and_jnd_in_the_unit_and_leaves_trials_out(
+    small: tuple[Path, ww.design.Plan], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, plan = small
+    data = answered(plan, tmp_path, slice(None))
+    table = pd.read_csv(data)
+    table.assign(phase=np.where(table.index < 30, "practice", "test")).to_csv(data, index=False)
+    assert run_app(app, ["analyse", str(file), str(data), "--without", "phase=practice"]) == 0
+    said = capsys.readouterr().out
+    assert "30 planned trials are missing." in said
+    trials = rig_trials([data], plan).without(phase="practice")
+    fit = plan.analyse(trials).fits[0]
+    rows = zip(fit.subjective_equality().itertuples(), fit.threshold().itertuples(), strict=True)
+    for equal, at in rows:
+        pse = interval_text(equal.comparison, equal.lower, equal.upper, " ms")
+        s = at.standard
+        jnd = interval_text(at.comparison - s, at.lower - s, at.upper - s, " ms")
+        assert f"From standard {s:.4g} ms: PSE {pse}; JND {jnd}." in said
+    assert 'PSE, the point of subjective equality: 50 % "second longer"' in said
 
 
 def test_next_analyse_and_fit_agree_on_one_session(

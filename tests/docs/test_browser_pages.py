@@ -26,6 +26,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import weberwhisk as ww
+from weberwhisk._util.values import interval_text
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
@@ -110,7 +111,7 @@ def test_a_dropped_table_is_fitted_and_k_shown(page: Any, site: str) -> None:
     for name, value in {"median": fit.weber_fraction, "lower": low, "upper": high}.items():
         assert float(row[name]) == pytest.approx(value, rel=1e-3)
     report, methods = page.locator("#results .words").all_inner_texts()
-    assert f"Weber fraction: {fit.weber_fraction:.3g}" in report
+    assert f"Weber fraction: {interval_text(fit.weber_fraction, low, high)}" in report
     assert f"{fit.trials.n_trials} trials" in methods
     assert page.locator("#results img").evaluate("image => image.naturalWidth") > 100
     # The wrong column is refused in a sentence, and the page goes on.

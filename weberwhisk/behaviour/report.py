@@ -10,7 +10,7 @@ from scipy import stats
 
 from .._util.output import plain
 from .._util.refusals import Advice, argument, named
-from .._util.values import counted, methods_text, paragraphs
+from .._util.values import counted, interval_text, methods_text, paragraphs
 from ..receptors import Weber
 from .criticism import advice as next_fit
 from .cue_encoding import CueEncoding
@@ -61,30 +61,59 @@ def _answer(fit: Estimates) -> list[str]:
     if fit.unweighed.is_misfit and fit.search.sentence:
         lines.append(fit.search.sentence)
     if "weber_fraction" in fit.parameters:
-        low, high = fit.interval()
         unit = f" {fit.unit}" if fit.unit else ""
-        lines.append(
-            f"Weber fraction{unit}: {fit.weber_fraction:.3g}, 95 % between {low:.3g} and "
-            f"{high:.3g} (prior {fit.model.priors.words('weber_fraction')})."
+        k = interval_text(fit.weber_fraction, *fit.interval())
+        # A number that the model cannot vouch for does not come before what says so.
+        lines.insert(
+            len(lines) if fit.status.is_misfit else 0,
+            f"Weber fraction{unit}: {k}, prior {fit.model.priors.words('weber_fraction')}.",
         )
-    for name in fit.parameters:
-        if name != "weber_fraction":
-            low, high = fit.interval(parameter=name)
-            lines.append(
-                f"{name}: {fit.posterior.quantile(name, 0.5):.3g} ({low:.3g} to {high:.3g})."
-            )
     lines += fit.remarks
-    if fit.status not in (FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NO_TRIALS):
-        for row in _equality(fit):
-            lines.append(
-                f"From standard {row['standard']:.4g}, point of subjective equality "
-                f"({row['criterion']}): {_comparison(row)}."
-            )
-        for row in fit.threshold().to_dict(orient="records"):
-            lines.append(
-                f"From standard {row['standard']:.4g}, {row['criterion']}: {_comparison(row)}."
-            )
-    return lines
+    lines += equality_and_jnds(fit)
+    others = [name for name in fit.parameters if name != "weber_fraction"]
+    middles = [float(fit.posterior.quantile(name, 0.5)) for name in others]
+    return lines + [
+        f"{name}: {interval_text(middle, *fit.interval(parameter=name))}."
+        for name, middle in zip(others, middles, strict=True)
+    ]
+
+
+def equality_and_jnds(fit: Estimates, unit: str = "", per_unit: float = 1.0) -> list[str]:
+    """Point of subjective equality and just noticeable difference from each standard, in sentences.
+
+    Numbers are times `per_unit`, and in that unit. Of a task whose answers do not compare two
+    stimuli, the comparisons at its threshold. None where answers do not follow the stimuli.
+    """
+    if fit.status in (FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NO_TRIALS):
+        return []
+
+    def of(row: Mapping[Hashable, Any], origin: float = 0.0) -> str:
+        ends = [per_unit * (row[name] - origin) for name in ("comparison", "lower", "upper")]
+        if np.isfinite(ends).all():
+            return interval_text(ends[0], ends[1], ends[2], unit)
+        middle, low, high = (
+            f"{end:.4g}{unit}" if np.isfinite(end) else "out of reach" for end in ends
+        )
+        return f"{middle} (95 %: {low} to {high})"
+
+    rows = fit.threshold().to_dict("records")
+    if not rows or not isinstance(fit.model.task, SignedChoice):
+        return [
+            f"From standard {per_unit * row['standard']:.4g}{unit}, {row['criterion']}: "
+            f"comparison {of(row)}."
+            for row in rows
+        ]
+    means = [f"JND, from the standard to {rows[0]['criterion']}"]
+    equal = _equality(fit)
+    if equal:
+        means.insert(0, f"PSE, the point of subjective equality: {equal[0]['criterion']}")
+    said = [f"{'; '.join(means)}."]
+    for i, row in enumerate(rows):
+        here = [f"JND {of(row, row['standard'])}"]
+        if equal:
+            here.insert(0, f"PSE {of(equal[i])}")
+        said.append(f"From standard {per_unit * row['standard']:.4g}{unit}: {'; '.join(here)}.")
+    return said
 
 
 def _equality(fit: Estimates) -> list[dict[Hashable, Any]]:
@@ -94,12 +123,6 @@ def _equality(fit: Estimates) -> list[dict[Hashable, Any]]:
     if not (moved and isinstance(fit.model.task, SignedChoice)):
         return []
     return fit.subjective_equality().to_dict("records")
-
-
-def _comparison(row: Mapping[Hashable, Any]) -> str:
-    """A comparison with its interval."""
-    middle, low, high = (_number(row[name]) for name in ("comparison", "lower", "upper"))
-    return f"comparison {middle} ({low} to {high})"
 
 
 def _limits(fit: Estimates) -> list[str]:
@@ -178,10 +201,6 @@ def _instead(fit: Estimates) -> Advice:
 def sentence(message: str) -> str:
     """A message as a sentence."""
     return message[0].upper() + message[1:] + "."
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else "out of reach"
 
 
 def as_dict(fit: Estimates) -> dict[str, object]:

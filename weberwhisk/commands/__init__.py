@@ -161,6 +161,17 @@ _SHARED: dict[str, Any] = {
         "be repeated.  [default: those that the report names]",
         {"metavar": "NAME=BELIEF"},
     ],
+    "only": Annotated[
+        Texts,
+        "Trials whose column has this value, or one of several (block=test,probe), and no others; "
+        "may be repeated, for trials that have all.",
+        {"metavar": "COLUMN=VALUES"},
+    ],
+    "without": Annotated[
+        Texts,
+        "Trials to leave out: block=practice; may be repeated.",
+        {"metavar": "COLUMN=VALUES"},
+    ],
     "seed": Annotated[int, "Seed of the draws.", _of("Results", parser=a_seed, metavar="NUMBER")],
     "out": Annotated[
         Path | None, "Folder for the tables, figures and record.", _of("Results", metavar="FOLDER")

@@ -187,17 +187,8 @@ def fit(
     session: Annotated[
         opt.Text, "Sessions by name, or such as 31-40 or 1,2.", {"metavar": "LIST"}
     ] = None,
-    only: Annotated[
-        opt.Texts,
-        "Trials whose column has this value, or one of several (block=test,probe), and no others; "
-        "may be repeated, for trials that have all.",
-        {"metavar": "COLUMN=VALUES"},
-    ] = None,
-    without: Annotated[
-        opt.Texts,
-        "Trials to leave out: block=practice; may be repeated.",
-        {"metavar": "COLUMN=VALUES"},
-    ] = None,
+    only: opt.Texts = None,
+    without: opt.Texts = None,
     bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
     noise: Annotated[str, "weber, equal-variance or constant."] = "weber",
     effect: Annotated[

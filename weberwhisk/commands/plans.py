@@ -341,6 +341,8 @@ def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
 def analyse(
     file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
     data: Annotated[list[Path], "Tables of trials.", {"metavar": "DATA..."}],
+    only: opt.Texts = None,
+    without: opt.Texts = None,
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
@@ -356,8 +358,11 @@ def analyse(
                 f"{str(path)!r} is not a file", remedy="name a plan.json and tables of trials"
             )
     plan = ww.read_plan(file)
-    trials = rig_trials(data, plan)
-    inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
+    trials = opt.chosen_trials(rig_trials(data, plan), only, without)
+    inputs = {
+        "plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data],
+        "only": only, "without": without,
+    }  # fmt: skip
     with Run(out, "analyse", inputs) as run:
         analysis = plan.analyse(trials, unit=1 / plan.magnitude.per_unit)
         words = analysis.report()

@@ -129,14 +129,15 @@ class Magnitude(Fields):
 
     def said(self, stimulus: float, digits: int = 4) -> str:
         """One with its unit."""
-        return f"{self.number(stimulus, digits)}{self._unit}"
+        return f"{self.number(stimulus, digits)}{self.unit_after}"
 
     def listed(self, stimuli: Iterable[float], digits: int = 4) -> str:
         """Several with their unit."""
-        return ", ".join(self.number(s, digits) for s in stimuli) + self._unit
+        return ", ".join(self.number(s, digits) for s in stimuli) + self.unit_after
 
     @property
-    def _unit(self) -> str:
+    def unit_after(self) -> str:
+        """The unit as it follows a number: " ms", "%"."""
         tight = self.unit in ("", "%", "°")
         return self.unit if tight else f" {self.unit}"
 

@@ -25,6 +25,7 @@ from ..behaviour.alone import LEFT_OUT
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import PopulationFit, PopulationStatus, fit_population
 from ..behaviour.psychometric import difference_sd
+from ..behaviour.report import equality_and_jnds
 from ..behaviour.trials import STIMULI, Trials
 from ..behaviour.verdict import FitStatus
 from ..sensitivity import criterion_factor
@@ -133,11 +134,28 @@ class AnalysisResult(Shown):
         sections = {
             "Data": [f"{data}.", *departures, *trials.notes],
             "Weber fraction": sentences,
+            "Equality and just noticeable difference": self._equality_and_jnds(),
             "Conclusion": self._conclusion(),
             "Software": [f"{versions_in_words('numpy', 'scipy')}."],
         }
         title = "" if plan is None else f"{plan.title}\n\n"
         return title + paragraphs({head: said for head, said in sections.items() if said})
+
+    def _equality_and_jnds(self) -> list[str]:
+        """Of each one fitted alone, under the hypothesis of the highest evidence."""
+        best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
+        said, unit, per_unit, greater = [], "", 1.0, "greater"
+        if self.plan is not None:
+            of = self.plan.magnitude
+            unit, per_unit, greater = of.unit_after, of.per_unit, of.greater
+        for row, fit in zip(self.estimates.to_dict("records"), self.fits, strict=True):
+            if row["hypothesis"] == best and isinstance(fit, WeberFit):
+                lines = equality_and_jnds(fit, unit, per_unit)
+                lines = [line.replace('second greater"', f'second {greater}"') for line in lines]
+                whose = [str(row[name]) for name in ("subject", "condition") if name in row]
+                several = len(self.fits) > len(self.log_evidence)
+                said += [f"{', '.join(whose)}: {line}" if several else line for line in lines]
+        return said
 
     @property
     def departures(self) -> tuple[int, int]:
