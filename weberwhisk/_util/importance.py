@@ -26,6 +26,15 @@ __all__ = [
 
 LogDensity = Callable[[Array], Array]
 
+#: From how many independent draws a dimension on a mixture has parts, and the shares of the first
+#: coordinate below which they end. A part of its own for each tail has a sixth of the draws there:
+#: ends of 95 % intervals are then off by 0.02 sd r.m.s. where 5000 draws of quarters were by 0.07,
+#: of fits whose Weber fraction has a long tail (a floor).
+PARTS = (
+    (100.0, np.array([0.05, 0.25, 0.5, 0.75, 0.95])),
+    (80.0, np.array([0.25, 0.5, 0.75])),
+)
+
 
 class Component(NamedTuple):
     """A Student's t of a mixture: its centre (D,) and scale matrix (D, D)."""
@@ -159,7 +168,7 @@ def adapted_draws(
     Adaptive importance sampling (Cappé et al. 2004; Bugallo et al. 2017): Student's t are fitted to
     weighted draws again and again, the density first taken to a power below 1, so that no mode is
     lost between the prior and where it was fitted last. One t stands for each quarter of the first
-    coordinate.
+    coordinate, and one for either tail.
 
     Parameters
     ----------
@@ -212,17 +221,17 @@ def _power(draws: WeightedDraws, least: float) -> float:
 
 
 def fitted_components(draws: WeightedDraws) -> list[Component]:
-    """Weighted means and covariances of the quarters of the first coordinate, or of all draws where
-    a quarter of them would be too small for a covariance."""
+    """Weighted means and covariances of the quarters of the first coordinate, its tails apart, or
+    of fewer parts where one would be too small for a covariance."""
     values, weight = draws.values, draws.weights
     dim = values.shape[1]
-    count = 1 if draws.effective < 4 * 20 * dim else 4
+    below = next((cuts for least, cuts in PARTS if draws.effective >= least * dim), np.zeros(0))
     order = np.argsort(values[:, 0])
-    quarter = np.zeros(len(values))
-    quarter[order] = np.minimum(np.floor(count * np.cumsum(weight[order])), count - 1)
+    part_of = np.zeros(len(values), dtype=np.intp)
+    part_of[order] = np.searchsorted(below, np.cumsum(weight[order]))
     mixture = []
-    for part in range(count):
-        share = weight * (quarter == part)
+    for part in range(len(below) + 1):
+        share = weight * (part_of == part)
         mean = share @ values / share.sum()
         off = values - mean
         # Draws may all lie in one plane.

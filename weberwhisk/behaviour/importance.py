@@ -2,9 +2,9 @@
 
 In normal scores of priors, and the coordinates of biases, a posterior has lighter tails than any
 Student's t, so that the weights of `_util.importance` are bounded. One t stands for each quarter of
-the Weber fractions: at small ones a bias in sds is wide and lapses are many, at large ones few. The
-draws are a quadrature rule: estimates and evidence depend on the data alone, and the seed of a fit
-is that of the draws resampled from them.
+the Weber fractions, and one for either tail: at small ones a bias in sds is wide and lapses are
+many, at large ones few. The draws are a quadrature rule: estimates and evidence depend on the data
+alone, and the seed of a fit is that of the draws resampled from them.
 """
 
 from __future__ import annotations
