@@ -16,7 +16,7 @@ from short_forms import slow_but
 from weberwhisk import cli
 from weberwhisk.behaviour import FitStatus, States, Trials, fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour import effects as of
-from weberwhisk.behaviour.causes import possible_causes, with_causes
+from weberwhisk.behaviour.causes import TRIED, WHOLE, possible_causes, with_causes
 from weberwhisk.commands import as_options
 
 DATA = Path(__file__).parents[1] / "data"
@@ -168,7 +168,7 @@ def test_causes_are_those_that_a_table_can_show() -> None:
 def test_a_quick_fit_has_the_evidence_of_a_whole_one() -> None:
     fit = fit_weber(observed(trials_per_level=10))
     for cause in possible_causes(fit):
-        quick, whole = (with_causes(fit, [cause], quick=q) for q in (True, False))
+        quick, whole = (with_causes(fit, [cause], draws) for draws in (TRIED, WHOLE))
         assert quick.log_evidence == pytest.approx(whole.log_evidence, abs=0.25)
         off = np.log(quick.weber_fraction / whole.weber_fraction)
         assert abs(off) < 0.2 * np.log(whole.posterior.draws().weber_fraction).std()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -32,7 +32,7 @@ from .effects import (
     is_possible,
 )
 from .estimates import Estimates
-from .importance import ImportancePosterior, Target
+from .importance import EFFECTIVE, PASS, ImportancePosterior, Target
 from .likelihood import WeberModel, build_model
 from .posteriors import WeberPosterior
 from .quadrature import QuadraturePosterior
@@ -43,8 +43,19 @@ __all__ = ["Cause", "Search", "possible_causes", "search", "with_causes"]
 
 MOST = 3  # causes at once
 STRONG = float(np.log(10.0))  # log Bayes factor at which a cause is taken
-QUICK, QUICK_PASS = 400.0, 500  # effective draws of a trial: evidence to 0.05, ends of k to 0.1 sd
 MOVED, WIDER = 1.0, 1.5  # sds of ln k, and times its width, from which a cause matters
+
+
+class Draws(NamedTuple):
+    """How many independent draws weighted ones are to be worth, and how many a pass has."""
+
+    effective: float
+    size: int
+
+
+WHOLE = Draws(EFFECTIVE, PASS)
+TRIED = Draws(400.0, 500)  # evidence to 0.05, ends of k to 0.1 sd
+SHOWN = Draws(1200.0, 1000)  # the fewest of a fit that counts as converged; ends of k to 0.06 sd
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +138,8 @@ def _go_together(fit: Estimates, causes: Sequence[Cause]) -> bool:
     return states <= (0 if {"overdispersion", "session_bias"} & names else 1)
 
 
-def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) -> Estimates:
-    """The same fit with causes in its model; quick ones are for evidence and k."""
+def with_causes(fit: Estimates, causes: Sequence[Cause], draws: Draws = WHOLE) -> Estimates:
+    """The same fit with causes in its model, by so many draws where it is by draws."""
     effects = (*fit.model.effects, *(e for cause in causes for e in cause.effects))
     bias = next((cause.bias for cause in causes if cause.bias), fit.bias)
     noise = next((cause.noise for cause in causes if cause.noise), fit.noise)
@@ -139,7 +150,7 @@ def with_causes(fit: Estimates, causes: Sequence[Cause], quick: bool = False) ->
     )  # fmt: skip
     fitted: WeberModel = model
     posterior: WeberPosterior
-    accuracy: dict[str, Any] = {"effective": QUICK, "size": QUICK_PASS} if quick else {}
+    accuracy = draws._asdict()
     if n_states > 1:
         fitted = with_states(model, fit.trials, encoding, n_states)
         assert isinstance(fitted, StateModel)
@@ -197,8 +208,8 @@ class Search:
 
     def _row(self, tried: Tried) -> tuple[str | float, ...]:
         gain = tried.log_evidence - self.plain.log_evidence
-        if gain >= STRONG and tried is not self.chosen:  # as good as any fit
-            tried = Tried(tried.causes, with_causes(self.plain.fit, tried.causes))
+        if gain >= STRONG and tried is not self.chosen:  # few draws have no status
+            tried = Tried(tried.causes, with_causes(self.plain.fit, tried.causes, SHOWN))
         k = tried.fit.weber_fraction, *tried.fit.interval()
         status = tried.fit.unweighed.name if gain >= STRONG else ""
         return tried.name, tried.log_evidence, gain, *k, self.change(tried), status
@@ -293,7 +304,7 @@ def _trial(
     """A quick fit with causes, made once."""
     key = frozenset(causes)
     if key not in tried:
-        tried[key] = Tried(causes, with_causes(fit, causes, quick=True))
+        tried[key] = Tried(causes, with_causes(fit, causes, TRIED))
     return tried[key]
 
 

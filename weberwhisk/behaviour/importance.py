@@ -22,7 +22,7 @@ from .axes import bias_prior, log_lapses_possible
 from .likelihood import Draws, WeberModel
 from .posteriors import fraction_curve, split
 
-__all__ = ["ImportancePosterior", "Target"]
+__all__ = ["EFFECTIVE", "PASS", "ImportancePosterior", "Target"]
 
 PASS = 2000  # vectors of a call
 EFFECTIVE = 5000.0  # independent draws that the weighted ones are to be worth
