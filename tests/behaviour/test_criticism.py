@@ -16,6 +16,8 @@ from weberwhisk.behaviour import (
     residuals_by,
     simulate_trials,
 )
+from weberwhisk.behaviour.criticism import SEEN_BY
+from weberwhisk.behaviour.directions import LOOKED_FOR, directions
 from weberwhisk.behaviour.effects import Drift
 
 DESIGN = {"weber_fraction": 0.15, "standards": [1.0, 2.0], "sessions": 6, "trials_per_level": 40}
@@ -139,3 +141,19 @@ def test_misuse_and_emptiness() -> None:
         residuals_by(fit, "sesion")
     single = fit_weber(simulate_trials(seed=1))
     assert "sessions" not in checks(single).index
+
+
+def test_what_is_looked_for_has_a_status_and_one_weight_for_each_pair_in_a_session() -> None:
+    """Answers to one pair in a session are checked as one count: an effect that differs between
+    them would be seen by the weight of the first alone."""
+    assert {e.name for e in LOOKED_FOR} <= {name for names in SEEN_BY.values() for name in names}
+    trials = simulate_trials(
+        standards=[1, 2], sessions=3, trials_per_level=12, order="random", seed=2
+    )
+    found = directions(fit_weber(trials))
+    assert {*found} == {e.name for e in LOOKED_FOR}
+    pairs = trials.frame[["session", "stimulus_1", "stimulus_2", "standard"]]
+    for weight in found.values():
+        by_pair = pairs.assign(weight=weight).groupby([*pairs]).weight
+        assert np.ptp(weight) > 0
+        np.testing.assert_allclose(by_pair.transform("min"), by_pair.transform("max"), atol=1e-12)

@@ -41,9 +41,11 @@ class ReceptorNoise(Value):
 
     Any other derives from `ReceptorNoise` and has `mean`, `sd`, `jacobian`, `interval`,
     `log_likelihood`, `sample` and `fisher`; the rest has defaults. A field called `weber_fraction`
-    is taken for the dimensionless k of sd² = (k·I)² + floor², checked against the domain and varied
-    by fits; `floor` for the sd at no signal, in the signal's unit. Call anything else otherwise
-    (`size`, `coefficient`): of such a law sd/|I| at usual contacts is held against the domain. A
+    is taken for a dimensionless k to which the sd is proportional but for a floor, as in
+    sd² = (k·I)² + floor²; it is varied by fits, and held against the domain as sd/|I|, so that
+    sd/|I| must be near k at usual contacts. `floor` is the sd at no signal, in the signal's unit.
+    Call anything else otherwise (`size`, `coefficient`): of such a law sd/|I| at usual contacts is
+    held against the domain. A
     law for others to use has an `__init__` that refuses junk in one sentence, by `_util.checks`.
     Models are values: they compare and hash by their fields.
     """
