@@ -70,9 +70,9 @@ class Site:
         whole = np.linalg.inv((off.T * weights) @ off + 1e-9 * np.eye(middle.size))
         value, vector = np.linalg.eigh(whole)
         # Where a posterior is as wide as its prior, the animal says nothing.
-        own = (vector * np.maximum(value - 1, 1e-3)) @ vector.T
-        shift = (own + np.eye(middle.size)) @ middle
-        return cls(own / np.outer(sd, sd), shift / sd + own @ (mean / sd) / sd)
+        precision = (vector * np.maximum(value - 1, 1e-3)) @ vector.T
+        shift = (precision + np.eye(middle.size)) @ middle
+        return cls(precision / np.outer(sd, sd), shift / sd + precision @ (mean / sd) / sd)
 
     def given(self, mean: Array, sd: Array) -> Component:
         """Centre and covariance of the animal in a population (E,)."""
@@ -223,9 +223,9 @@ class AnimalDraws:
         norm = 0.5 * self.at.size * np.log(2 * np.pi) + np.log(len(self.log_like) / 2)
         factors = weighed.most - norm - np.log(sd).sum(axis=1)
         log = np.log(np.maximum(sums, 1e-37)) + factors
-        known = self.site.log_integral(mean, sd) + self._site_scale
+        log_site = self.site.log_integral(mean, sd) + self._site_scale
         # Far from all draws neither average is right, and the site may be far too high.
-        return np.asarray(log[:2] + np.minimum(known - log[2:], FAR))
+        return np.asarray(log[:2] + np.minimum(log_site - log[2:], FAR))
 
 
 class _Weighed(NamedTuple):
@@ -423,18 +423,18 @@ def _unacquainted(animals: Sequence[Animal], vague: Normals) -> list[AnimalDraws
             square = (((x - mean) / sd) ** 2).sum(axis=1)
             return np.asarray(animal.log_likelihood(x) + norm - 0.5 * square)
 
-        alike = animal.at.tobytes()
+        parameters = animal.at.tobytes()
         drawn = adapted_draws(
             log_density, mean, sd, SobolPoints(sd.size + 1, np.random.default_rng(number)),
             effective=FIRST / 2, most=4 * FIRST, size=FIRST,
-            mixture=[start[alike]] if alike in start else (),
+            mixture=[start[parameters]] if parameters in start else (),
         )  # fmt: skip
         site = Site.of(drawn.values, drawn.weights, mean, sd)
         log_like = animal.log_likelihood(drawn.values)
         out.append(AnimalDraws(animal.at, drawn.values, log_like, drawn.log_proposal, site))
         same = [one for one in out if np.array_equal(one.at, animal.at)]
         if len(same) == ALIKE:  # others will be much as these
-            start[alike] = _pooled([o.site.given(mean, sd) for o in same])
+            start[parameters] = _pooled([o.site.given(mean, sd) for o in same])
     return out
 
 
