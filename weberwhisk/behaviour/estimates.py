@@ -291,6 +291,16 @@ class Estimates(Shown):
             )
         return self.threshold(standard, 0.5, mass=mass, with_bias=True)
 
+    @cached_property
+    def usual_thresholds(self) -> pd.DataFrame:
+        """Those of `threshold` by default, which report and JSON both have."""
+        return self.threshold()
+
+    @cached_property
+    def equality_points(self) -> pd.DataFrame:
+        """Those of `subjective_equality` by default."""
+        return self.subjective_equality()
+
     def _moved(self, draws: Draws) -> list[tuple[Effect, Array]]:
         """The effects with their draws."""
         return [(e, draws.effects[:, i]) for i, e in enumerate(self.model.effects)]

@@ -96,7 +96,7 @@ def equality_and_jnds(fit: Estimates, unit: str = "", per_unit: float = 1.0) -> 
         )
         return f"{middle} (95 %: {low} to {high})"
 
-    rows = fit.threshold().to_dict("records")
+    rows = fit.usual_thresholds.to_dict("records")
     if not rows or not isinstance(fit.model.task, SignedChoice):
         return [
             f"From standard {per_unit * row['standard']:.4g}{unit}, {row['criterion']}: "
@@ -122,7 +122,7 @@ def _equality(fit: Estimates) -> list[dict[Hashable, Any]]:
     moved = bool(fit.model.group_names or fit.effects)
     if not (moved and isinstance(fit.model.task, SignedChoice)):
         return []
-    return fit.subjective_equality().to_dict("records")
+    return fit.equality_points.to_dict("records")
 
 
 def _limits(fit: Estimates) -> list[str]:
@@ -216,7 +216,7 @@ def as_dict(fit: Estimates) -> dict[str, object]:
         "message": fit.status.message,
         "notes": list(fit.notes),
         "parameters": fit.summary().to_dict(orient="index"),
-        "thresholds": fit.threshold().to_dict("records"),
+        "thresholds": fit.usual_thresholds.to_dict("records"),
         "points_of_subjective_equality": _equality(fit),
         "prior_sensitivity": fit.prior_sensitivity.reset_index().to_dict("records"),
         "lapse_sensitivity": fit.lapse_sensitivity.to_dict("records"),
