@@ -35,8 +35,8 @@ class Effect:
 
     `name` is that of the parameter, `prior` its frozen SciPy distribution or, if known, a number.
     At `null` it changes nothing. `is_scale_free` says that it adds a shift, or multiplies sds by
-    what goes with its column alone: pairs of stimuli that are alike by Weber's law stay so, and the
-    fit is quicker.
+    a factor that depends on its column and not on the stimuli: pairs of stimuli that are alike by
+    Weber's law stay so, and the fit is quicker.
     """
 
     name: str

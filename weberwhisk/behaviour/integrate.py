@@ -41,8 +41,8 @@ class PosteriorGrid:
     density of these, biases integrated, (K, Lo, Hi), −inf where nothing was summed. `biases`: for
     each group its masses, in blocks. `windows`: for each group the coordinates (K,) between which
     its bias lies, and `bias_nodes` (K,) how many nodes were enough there. `log_evidence` is for the
-    sequence of answers; `error` estimates its absolute error, or that of the interval of k in sds
-    if it is larger.
+    sequence of answers. `error` is the larger of two estimates: of the error of `log_evidence`, and
+    of that of the ends of the interval of k, in sds.
     """
 
     axes: tuple[Array, Array, Array]

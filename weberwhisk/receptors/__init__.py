@@ -5,7 +5,7 @@ model               sd of a reading of a signal I              information about
 =================== ========================================== ==================================
 `Weber`             k·I (equation (3.1))                       1/k² + 2 at every I
 `GeneralisedWeber`  √(σ₀² + (k·I)²), up to a ceiling           falls below σ₀/k; 0 above a ceiling
-`Saturating`        of a response that levels off              falls smoothly about the ceiling
+`Saturating`        k·mean, where the mean levels off          falls smoothly about the ceiling
 `LogNormal`         k·I, never across zero                     1/ln(1 + k²) at every I
 `SpikeCount`        counts of single afferents                 1/k² within their thresholds' range
 =================== ========================================== ==================================
