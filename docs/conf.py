@@ -89,7 +89,7 @@ mathjax4_config: dict[str, Any] = {"output": {"displayOverflow": "scroll"}}  # o
 # Pages that run. A cell that raises is an error of the build.
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300
 nb_merge_streams = True
 nb_output_stderr = "warn"  # a warning in a cell, of a renamed name say, is one of the build
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
