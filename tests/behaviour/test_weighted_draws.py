@@ -23,7 +23,7 @@ def ends(target: Target, seed: int, effective: float) -> NDArray[np.float64]:
     """ln k at 2.5, 50 and 97.5 %, by other draws for another seed."""
     points = SobolPoints(target.start[0].size + 1, seed=seed)
     draws = adapted_draws(
-        target.log_density, *target.start, points, effective=effective, most=300_000
+        target.log_density, *target.start, points, effective=effective, most=300_000, tails=True
     )
     k = ImportancePosterior(target, draws).quantile("weber_fraction", [0.025, 0.5, 0.975])
     return np.log(k)

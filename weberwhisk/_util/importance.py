@@ -26,14 +26,13 @@ __all__ = [
 
 LogDensity = Callable[[Array], Array]
 
-#: From how many independent draws a dimension on a mixture has parts, and the shares of the first
-#: coordinate below which they end. A part of its own for each tail has a sixth of the draws there:
-#: ends of 95 % intervals are then off by 0.02 sd r.m.s. where 5000 draws of quarters were by 0.07,
-#: of fits whose Weber fraction has a long tail (a floor).
-PARTS = (
-    (100.0, np.array([0.05, 0.25, 0.5, 0.75, 0.95])),
-    (80.0, np.array([0.25, 0.5, 0.75])),
-)
+#: Shares of the first coordinate below which parts of a mixture end, and from how many independent
+#: draws a dimension on: the quarters; and, where the tails are asked for, with a part of its own
+#: for either, which has a sixth of the draws. Ends of 95 % intervals of fits whose Weber fraction
+#: has a long tail (a floor) are then off by 0.02 sd r.m.s., where 5000 draws of quarters were by
+#: 0.07.
+QUARTERS = 80.0, np.array([0.25, 0.5, 0.75])
+TAILS = 100.0, np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 
 
 class Component(NamedTuple):
@@ -162,13 +161,14 @@ def adapted_draws(
     most: int = 100_000,
     size: int = 2000,
     mixture: Sequence[Component] = (),
+    tails: bool = False,
 ) -> WeightedDraws:
     """Draws worth `effective` independent ones, if `most` in one round can be.
 
     Adaptive importance sampling (Cappé et al. 2004; Bugallo et al. 2017): Student's t are fitted to
     weighted draws again and again, the density first taken to a power below 1, so that no mode is
     lost between the prior and where it was fitted last. One t stands for each quarter of the first
-    coordinate, and one for either tail.
+    coordinate.
 
     Parameters
     ----------
@@ -182,18 +182,20 @@ def adapted_draws(
         `size` is that of a pass while the proposal is fitted.
     mixture : sequence of Component
         Where to begin instead, such as those fitted to draws from a density much the same.
+    tails : bool
+        Whether either tail of the first coordinate has a t of its own.
     """
     if mixture:
         draws = weighted_draws(log_density, mixture, 2 * size, points)
         if draws.effective >= effective:
             return draws
-        mixture = fitted_components(draws.tempered(_power(draws, size / 4)))
+        mixture = fitted_components(draws.tempered(_power(draws, size / 4)), tails)
     else:
         mixture = [Component(mean, np.diag(sd**2))]
     for _ in range(30):
         draws = weighted_draws(log_density, mixture, size, points)
         power = _power(draws, size / 4)
-        mixture = fitted_components(draws.tempered(power))
+        mixture = fitted_components(draws.tempered(power), tails)
         if power == 1.0:
             break
     count = 2 * size
@@ -202,7 +204,7 @@ def adapted_draws(
         if draws.effective >= effective:
             break
         count = int(np.clip(1.3 * count * effective / draws.effective, count, most))
-        mixture = fitted_components(draws)
+        mixture = fitted_components(draws, tails)
     return draws
 
 
@@ -220,12 +222,13 @@ def _power(draws: WeightedDraws, least: float) -> float:
     return max(below, 1e-9)  # most draws may be impossible
 
 
-def fitted_components(draws: WeightedDraws) -> list[Component]:
-    """Weighted means and covariances of the quarters of the first coordinate, its tails apart, or
-    of fewer parts where one would be too small for a covariance."""
+def fitted_components(draws: WeightedDraws, tails: bool = False) -> list[Component]:
+    """Weighted means and covariances of the quarters of the first coordinate, or of these with its
+    tails apart, or of all draws where a part would be too small for a covariance."""
     values, weight = draws.values, draws.weights
     dim = values.shape[1]
-    below = next((cuts for least, cuts in PARTS if draws.effective >= least * dim), np.zeros(0))
+    ways = (TAILS, QUARTERS) if tails else (QUARTERS,)
+    below = next((cuts for least, cuts in ways if draws.effective >= least * dim), np.zeros(0))
     order = np.argsort(values[:, 0])
     part_of = np.zeros(len(values), dtype=np.intp)
     part_of[order] = np.searchsorted(below, np.cumsum(weight[order]))

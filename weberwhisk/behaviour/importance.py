@@ -98,7 +98,7 @@ class Target:
             )
         points = SobolPoints(self.start[0].size + 1, seed=0)
         return adapted_draws(
-            self.log_density, *self.start, points, effective=effective, size=size
+            self.log_density, *self.start, points, effective=effective, size=size, tails=True,
         )  # fmt: skip
 
 
