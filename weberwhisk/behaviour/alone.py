@@ -14,6 +14,7 @@ from .._util import campaign
 from .._util.values import Array
 from .criticism import UNCHECKED
 from .directions import LOOKED_FOR
+from .encodings import Encoding
 from .fit import WeberFit, fit_weber
 from .importance import ImportancePosterior, Target
 from .likelihood import WeberModel, build_model
@@ -82,24 +83,25 @@ class AnimalFits(Mapping[Hashable, WeberFit]):
     def quick(self, subject: Hashable) -> WeberFit:
         """The fit of an animal for its estimates, status and checks, by draws: a third of what
         quadrature takes, and ends of its interval to 0.03 sd."""
-        o = self.options
-        model, encoding, bias = build_model(
-            self.trials[subject], o["encoding"], o["observer"], o["bias"], o["noise"], o["priors"],
-            o["effects"],
-        )  # fmt: skip
-        posterior = _quick(model)
+        model, encoding, bias = self._built(subject)
+        target = Target(model.merged())
+        posterior = _QuickPosterior(target, target.weighted(DRAWS))
         return WeberFit(
-            self.trials[subject], model, encoding, o["noise"], bias, "importance", posterior
-        )
+            self.trials[subject], model, encoding, self.options["noise"], bias, "importance",
+            posterior,
+        )  # fmt: skip
 
     def model(self, subject: Hashable, whole: bool = False) -> WeberModel:
         """The model of an animal, with all cells or as few as give its likelihood."""
+        model = self._built(subject)[0]
+        return model if whole else model.merged()
+
+    def _built(self, subject: Hashable) -> tuple[WeberModel, Encoding, str]:
         o = self.options
-        model = build_model(
+        return build_model(
             self.trials[subject], o["encoding"], o["observer"], o["bias"], o["noise"], o["priors"],
             o["effects"],
-        )[0]  # fmt: skip
-        return model if whole else model.merged()
+        )  # fmt: skip
 
 
 def fitted_alone(
@@ -153,8 +155,3 @@ def _row(fit: WeberFit, check: bool) -> dict[str, Any]:
 class _QuickPosterior(ImportancePosterior):
     def score_curve(self) -> tuple[Array, Array]:
         return fraction_curve(self.model, self.reproducible_draws().thinned(60))
-
-
-def _quick(model: WeberModel) -> _QuickPosterior:
-    target = Target(model.merged())
-    return _QuickPosterior(target, target.weighted(DRAWS))

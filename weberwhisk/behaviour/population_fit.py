@@ -276,9 +276,9 @@ class PopulationFit(Shown):
         likelihood, of_animals = self.population.given(scores, rng)
         sample = hierarchy.values(scores)
         kept = self.subjects[self.subjects["weber_fraction"].notna()]
-        own = {f"subject_{name}": values.T for name, values in of_animals.items()}
+        by_subject = {f"subject_{name}": values.T for name, values in of_animals.items()}
         groups: dict[str, dict[str, Array]] = {
-            "posterior": sample | own,
+            "posterior": sample | by_subject,
             "log_likelihood": {"choices": likelihood.T},
             "prior": hierarchy.values(hierarchy.drawn(4 * draws, rng)),
             "log_prior": hierarchy.log_densities(sample),
@@ -293,9 +293,9 @@ class PopulationFit(Shown):
             **chains,
             constant_data={"n": kept["n"].to_numpy(np.int64)},
             coords={"subject": kept["subject"].astype(str).to_numpy(str)},
-            dims={name: ["subject"] for name in (*own, "choices", "n")},
+            dims={name: ["subject"] for name in (*by_subject, "choices", "n")},
             attrs={"status": self.status.value},
-            units=dict.fromkeys([*sample, *own, "n"], "1")
+            units=dict.fromkeys([*sample, *by_subject, "n"], "1")
             | {"weber_fraction": unit, "subject_weber_fraction": unit},
             comments={
                 "log_likelihood": "A value is of all choices of an animal given the population, "
