@@ -120,7 +120,8 @@ def test_units_and_what_the_likelihood_is_of_travel_with_the_file(
     ("table", "options", "named"),
     [
         ({"task": "3AFC percent correct"}, {}, {"weber_fraction", "lapse_high"}),
-        ({"task": "yes/no"}, {}, {"weber_fraction", "lapses", "bias"}),
+        pytest.param({"task": "yes/no"}, {}, {"weber_fraction", "lapses", "bias"},
+                     marks=pytest.mark.slow),
         ({}, {"effects": [Overdispersion()], "bias": "none"},
          {"weber_fraction", "overdispersion", "lapses"}),
         ({}, {"priors": {"lapse_correlation": 0.0, "bias": 0.1}},
@@ -182,9 +183,7 @@ def test_the_likelihood_of_an_animal_is_its_own_averaged_over_the_population() -
         top = at.max(axis=1, keepdims=True)
         direct = np.log(np.exp(at - top) @ np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum())
         wide = values["spread"] > 0.1  # narrower ones are not distinguished
-        np.testing.assert_allclose(
-            (likelihood[animal] - direct - top[:, 0])[wide], 0.0, atol=0.05
-        )
+        np.testing.assert_allclose((likelihood[animal] - direct - top[:, 0])[wide], 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize("draws", [0, -1, 2.5, "many"])

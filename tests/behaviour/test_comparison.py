@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import logsumexp, ndtr
+from short_forms import slow_but
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import (
@@ -41,7 +42,7 @@ def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
         compare(
             {n: fit_weber(trials, encoding=p, priors=KNOWN, seed=seed) for n, p in felt.items()}
         ).table
-        for seed in range(6)
+        for seed in range(4)
     ]
     s1, s2, x = (trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
     log_k = np.linspace(np.log(1e-4), np.log(100), 4001)
@@ -65,7 +66,8 @@ def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made_by", "best"), [("weber", "Weber noise"), ("constant", "constant noise")]
+    ("made_by", "best"),
+    slow_but([("weber", "Weber noise"), ("constant", "constant noise")], (1,)),
 )
 def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
     encoding = IdentityEncoding() if made_by == "weber" else ConstantNoise(IdentityEncoding(), 2.0)
@@ -101,7 +103,9 @@ def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
         assert low < drift < high
 
 
-@pytest.mark.parametrize(("whisker", "best"), [(TAPERED, "tapered"), (CYLINDER, "cylindrical")])
+@pytest.mark.parametrize(
+    ("whisker", "best"), slow_but([(TAPERED, "tapered"), (CYLINDER, "cylindrical")], (0,))
+)
 def test_the_papers_prediction_tells_whiskers_apart(whisker: Whisker, best: str) -> None:
     # In a simulation of its own, 360 trials at these standards mostly gave more than 10.
     encoding = CueEncoding(Observer(whisker, cues.Compliance()), unit=1e-3)

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from short_forms import slow_but
 
 from weberwhisk.behaviour import (
     Trials,
@@ -54,9 +55,9 @@ def test_an_effect_that_goes_with_sessions_is_expected_there() -> None:
 
 
 def test_quantile_residuals_are_standard_normal_under_the_model() -> None:
-    tables = [quantile_residuals(sound(seed), seed=seed) for seed in range(10, 14)]
+    tables = [quantile_residuals(sound(seed), seed=seed) for seed in range(10, 13)]
     z = np.concatenate([t["z"] for t in tables])
-    assert z.size > 400
+    assert z.size > 300
     assert stats.kstest(z, "norm").pvalue > 0.001
     assert z.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * z.size))
     again = quantile_residuals(sound(10), seed=10)
@@ -106,7 +107,9 @@ def broken(trouble: str) -> WeberFit:
     return fit_weber(Trials(frame.assign(count=answer), trials.task))
 
 
-@pytest.mark.parametrize("trouble", ["levels", "overdispersion", "sessions", "trend", "repetition"])
+@pytest.mark.parametrize(
+    "trouble", slow_but(["levels", "overdispersion", "sessions", "trend", "repetition"], (0, 4))
+)
 def test_each_trouble_is_seen_by_its_check(trouble: str) -> None:
     table = checks(broken(trouble))
     assert table.loc[trouble, "p"] < 0.01

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import ndtr
+from short_forms import slow_but
 
 from weberwhisk import Observer, Whisker
 from weberwhisk.behaviour import (
@@ -153,7 +154,7 @@ def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
     assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=1e-7)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", slow_but(CASES, (1, 2, 5)))
 def test_an_effect_is_found_where_it_is(name: str) -> None:
     effect, value = CASES[name]
     # Lapses known: one dimension less at a time is enough for a test that always runs.
@@ -393,7 +394,8 @@ def test_constant_noise_of_distances_keeps_their_unit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "criterion"), [("yes/no", 0.4), ("go/no-go", 0.4), ("same-different", 1.2)]
+    ("task", "criterion"),
+    slow_but([("yes/no", 0.4), ("go/no-go", 0.4), ("same-different", 1.2)], (0, 2)),
 )
 def test_tasks_with_a_criterion_by_hand_and_back(task: str, criterion: float) -> None:
     trials = simulate_trials(

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import logsumexp, ndtr
+from short_forms import slow_but
 
 from weberwhisk._util.sampling import sample_stacked
 from weberwhisk.behaviour import (
@@ -134,7 +135,7 @@ def moments_of(fit: PopulationFit) -> dict[str, Array]:
     return out
 
 
-@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize("count", slow_but([2, 5], (0,)))
 def test_population_and_animals_by_brute_force(count: int) -> None:
     trials, _ = animals(count)
     fit = fit_population(trials, priors=KNOWN)
@@ -272,11 +273,12 @@ def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
     right = (frame["stimulus_2"] > frame["stimulus_1"]).astype(float)
     frame["count"] = frame["count"].mask(first, right)
     frame.loc[second, "count"] = (np.arange(second.sum()) % 2).astype(float)
-    fit = fit_population(Trials(frame, trials.task), check=False)
+    given = {"check": False, "bias": "none"}
+    fit = fit_population(Trials(frame, trials.task), **given)
     rows = fit.subjects.set_index("subject")
     assert rows.loc["s1", "status"] == "UPPER_BOUND"
     assert np.isfinite(rows[["weber_fraction", "lower", "upper"]].to_numpy()).all()
-    better = fit_population(Trials(frame[~second], trials.task), check=False)
+    better = fit_population(Trials(frame[~second], trials.task), **given)
     found = better.subjects.set_index("subject")
     assert found.loc["s1", "weber_fraction"] > found.loc["s1", "alone"]
 

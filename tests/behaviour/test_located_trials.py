@@ -88,7 +88,7 @@ def session(seed: int) -> tuple[Trials, pd.DataFrame]:
 def test_an_animal_that_moves_has_its_weber_fraction_from_where_it_touched() -> None:
     """Root-mean-square error and coverage over data sets, from nominal and from located places."""
     found = {"located": [], "nominal": []}
-    for seed in range(20):
+    for seed in range(12):
         trials, located = session(seed)
         for name, given in (("located", located), ("nominal", None)):
             fit = ww.fit_weber(trials, encoding=ENCODING, distances=given, priors=KNOWN)
@@ -97,8 +97,8 @@ def test_an_animal_that_moves_has_its_weber_fraction_from_where_it_touched() -> 
     error = {name: np.sqrt(np.mean(np.square([e for e, _ in v]))) for name, v in found.items()}
     covered = {name: sum(c for _, c in v) for name, v in found.items()}
     assert error["located"] < 0.22 < 0.35 < error["nominal"]
-    assert covered["located"] >= 17  # of 20: fewer happens once in 400 where it is 95 %
-    assert covered["nominal"] <= 10
+    assert covered["located"] >= 10  # of 12: fewer happens once in 50 where it is 95 %
+    assert covered["nominal"] <= 6
 
 
 def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.DataFrame:
@@ -114,14 +114,18 @@ def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.Data
     return rows
 
 
+C2 = ww.Whisker.from_identity("C2", curved=True)
+
+
 @pytest.mark.parametrize(
-    ("seeds", "each"), slow_but([([2], 2), ([2], 4), (range(3, 11), 8)], quick=(0,))
+    ("whisker", "seeds", "each"),
+    slow_but([(WHISKER, [2], 2), (C2, [2], 4), (C2, range(3, 11), 8)], quick=(0,)),
 )
 def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
-    seeds: list[int], each: int, tmp_path
+    whisker: ww.Whisker, seeds: list[int], each: int, tmp_path
 ) -> None:
     """Each touch a whisk of a tracked session, each trial two: the animal's k, as it moved."""
-    whisker, per = ww.Whisker.from_identity("C2", curved=True), 6
+    per = 6
     observer = ww.Observer(whisker, ww.cues.ForceMap(["moment", "transverse_force"]))
     encoding, k = CueEncoding(observer, 0.2), 0.05
     off, covered, beside = [], 0, []
@@ -246,6 +250,7 @@ def test_the_command_takes_a_table_of_distances(tmp_path, capsys, monkeypatch) -
         return cli.main(), *capsys.readouterr()
 
     trials, located = session(3)
+    trials = trials.select(trial=range(1, 91))
     frame = trials.table().drop(columns="standard")
     for name in ("stimulus_1", "stimulus_2"):
         frame[f"{name}_mm"] = 1e3 * frame.pop(name)

@@ -32,7 +32,7 @@ def chosen(encoding: object, near: float, far: float, k: float) -> float:
 def test_choices_of_several_touches_are_those_of_their_posteriors() -> None:
     """Three touches of each of two distances, read, located by `touches`, and compared."""
     observer = ww.Observer(WHISKER, ww.cues.ForceMap(), ww.receptors.Weber(0.05))
-    angles, pair, runs = np.array([0.15, 0.2, 0.25]), (20e-3, 21.5e-3), 100
+    angles, pair, runs = np.array([0.15, 0.2, 0.25]), (20e-3, 21.5e-3), 50
     rng = np.random.default_rng(1)
     found = np.array(
         [

@@ -76,7 +76,7 @@ def test_the_integral_of_a_site_is_that_of_normals() -> None:
 
 def test_lapses_that_all_lack_are_learnt_from_all() -> None:
     """Each person's lapses were taken as about 3 %, and the median k was 10 to 14 % low."""
-    trials = people(24, lapse=0.0, n=15, seed=3)
+    trials = people(8, lapse=0.0, n=25, seed=4)
     fit = fit_population(trials, check=False)
     believed = {"lapse_low": 0.0, "lapse_high": 0.0}
     known = fit_population(trials, check=False, priors=believed)
@@ -112,25 +112,25 @@ def test_what_is_read_off_a_population_with_effects() -> None:
 
 
 def test_formulas_go_by_the_table_of_all_animals() -> None:
-    trials = people(3)
+    trials = people(2, standards=(1.0,))
     table = trials.table().assign(dose=lambda t: np.arange(len(t)) % 3)
     fit = fit_population(read_trials(table), effects=["k ~ dose"], check=False)
     assert fit.parameters[2:4] == ("k:dose", "k:dose_spread")
 
 
 def test_an_animal_that_lacks_a_standard_lacks_its_bias() -> None:
-    trials = people(3)
+    trials = people(2)
     frame = trials.frame[~((trials.frame["subject"] == 1) & (trials.frame["standard"] == 2.0))]
     fit = fit_population(
         Trials(frame.reset_index(drop=True), trials.task), bias="per standard", check=False
     )
     assert fit.parameters[-3:] == ("bias[1]", "bias[2]", "bias_spread")
-    assert fit.subjects["bias[2]"].isna().tolist() == [False, True, False]
+    assert fit.subjects["bias[2]"].isna().tolist() == [False, True]
     assert np.isnan(fit.to_arviz(draws=20)["posterior"]["subject_bias[2]"][..., 1]).all()
 
 
 def test_priors_of_spreads_are_stated_by_name() -> None:
-    trials = people(3)
+    trials = people(2, standards=(1.0,))
     wide = fit_population(
         trials, spread_prior={"bias_spread": stats.halfnorm(scale=2.0)}, check=False
     )
@@ -141,17 +141,17 @@ def test_priors_of_spreads_are_stated_by_name() -> None:
 
 
 def test_what_workers_do_is_the_same() -> None:
-    trials = people(4)
+    trials = people(2, standards=(1.0,))
     done: list[float] = []
     one = fit_population(trials, check=False, progress=done.append)
     two = fit_population(trials, check=False, workers=2, progress=lambda more: None)
     pd.testing.assert_frame_equal(one.subjects, two.subjects)
     pd.testing.assert_frame_equal(one.summary(), two.summary())
-    assert sum(done) == 4
+    assert sum(done) == 2
 
 
 def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
-    trials = people(6, power=1.9, standards=(1.0, 2.0, 4.0), n=20, seed=5)
+    trials = people(3, power=1.9, standards=(1.0, 2.0, 4.0), n=20, seed=5)
     fit = fit_population(trials)
     assert fit.status is PopulationStatus.MISFIT
     assert fit.checked.loc["exponent", "fired"]
@@ -165,8 +165,9 @@ def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
 
 @pytest.mark.parametrize("power", [1.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_weber_s_law_is_tested_of_all_animals_together(power: float) -> None:
-    trials = people(6, power=power, standards=(1.0, 2.0, 4.0), n=20, seed=5)
-    test = weber_law_test(fit_population(trials, check=False))
+    trials = people(4, power=power, standards=(1.0, 2.0, 4.0), n=30, seed=5)
+    lapses = {"lapse_low": 0.02, "lapse_high": 0.02}  # given, as they are half of what it takes
+    test = weber_law_test(fit_population(trials, check=False, priors=lapses))
     assert test.rivals.loc["exponent", "lower"] < power < test.rivals.loc["exponent", "upper"]
     assert test.least_shown < 0.5
     if power == 1.0:
@@ -199,7 +200,7 @@ def test_a_belief_that_moves_the_median_is_said() -> None:
     assert f"{fit.prior_sensitivity.loc[worst, 'prior']}, moves the population's median" in (
         " ".join(fit.notes)
     )
-    more = fit_population(people(12, n=40), check=False)
+    more = fit_population(people(5, n=40), check=False)
     assert more.status is PopulationStatus.DETERMINED
 
 
