@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 from scipy.stats import kstest, powerlaw, uniform
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Status, cues, receptors
@@ -153,12 +154,15 @@ def around(found: ww.array.Place, sds: float = 7.0) -> Any:
 
 @pytest.mark.parametrize(
     ("place", "angle_sd", "k"),
-    [
-        ([16e-3, -2e-3], 0.0, 0.1),
-        ([16e-3, -2e-3], 1.0, 0.1),
-        ([28e-3, 0.0], 0.0, 0.3),
-        ([16e-3, -2e-3], 3.0, 0.3),
-    ],
+    slow_but(
+        [
+            ([16e-3, -2e-3], 0.0, 0.1),
+            ([16e-3, -2e-3], 1.0, 0.1),
+            ([28e-3, 0.0], 0.0, 0.3),
+            ([16e-3, -2e-3], 3.0, 0.3),
+        ],
+        (1, 2),
+    ),
 )
 def test_place_is_that_of_brute_force(place: Any, angle_sd: float, k: float) -> None:
     """Some whiskers touch and some do not, azimuths known or not; and the error is as stated."""

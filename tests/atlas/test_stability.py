@@ -49,7 +49,7 @@ SIZES = {
 #: Left to the slow form: a cheaper search covers the same engine, or other tests compare it with
 #: brute force (out of the plane, `test_three_unknowns`, `test_fit`, `test_emcee_hard_cases`).
 LONG = {
-    "rod, in the plane", "fit of choices", "quadrature, tap and map fused",
+    "rod, in the plane", "rod, out of the plane", "fit of choices", "quadrature, tap and map fused",
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance", "fusions of any whisker",
     "real whiskers", "curvature or hinge uncertain", "curved whiskers in space",

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cue_checks import brute_force, keeps_the_protocol, small_noise_limit
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -82,7 +83,7 @@ def off_by(found, exact):
     return np.max(np.abs(found - exact) / np.repeat(np.stack(size, axis=1), 3, axis=1))
 
 
-@pytest.mark.parametrize("friction", [0.45, -0.45])
+@pytest.mark.parametrize("friction", slow_but([0.45, -0.45], (0,)))
 def test_friction_of_a_straight_whisker_is_that_of_the_rod(friction):
     """Up to the fold, and where a force turns its sign."""
     cue, rng = Friction(SpaceMap(IN_SPACE), friction), np.random.default_rng(3)
@@ -214,7 +215,7 @@ def brute(observer, reading, model, count, found):
 @pytest.mark.parametrize(
     ("cue", "model", "count"),
     [
-        (SpaceMap(SPACE), None, 41),
+        pytest.param(SpaceMap(SPACE), None, 41, marks=pytest.mark.slow),
         (Friction(SpaceMap(SPACE), -0.3), None, 41),
         *(
             pytest.param(cue, "rod", 17, marks=pytest.mark.slow)

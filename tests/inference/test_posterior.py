@@ -120,7 +120,7 @@ def test_quadrature_in_two_dimensions_reaches_1e_4(k, fraction, degrees):
         assert max(e.mean_error, e.sd_error) < 1e-4 * sd[i]
 
 
-@pytest.mark.parametrize("k", [0.02, 0.1, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("k", slow_but([0.02, 0.1, 0.3], (1,)))
 def test_emcee_agrees_with_quadrature_within_its_own_error(k):
     observer = ww.Observer(W, Compliance(), Weber(k))
     r = np.random.default_rng(8).uniform(0.1, 0.97, (96, 1)) * W.length
@@ -195,7 +195,7 @@ def test_an_impossible_reading_is_called_improbable():
     assert wrong.status.tolist() == 2 * [Status.IMPROBABLE_READING]
 
 
-@pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
+@pytest.mark.parametrize("method", slow_but(["quadrature", "emcee", "laplace"], (0, 2)))
 def test_one_reading_gives_scalars_and_many_give_arrays(method):
     observer = ww.Observer(W, ForceMap(), Weber(0.05))
     readings = observer.read([[20e-3, 0.2], [40e-3, 0.1]], seed=1)

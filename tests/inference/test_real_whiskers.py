@@ -46,7 +46,7 @@ def planar_signals(w, r, push, friction=0.0):
     ("radius_ratio", "curvature", "friction"),
     slow_but(
         [(5, -25, -0.45), (20, 25, 0), (1, 8, 0), (5, 25, 0.45), (20, -8, 0), (40, 25, -0.45)],
-        quick=range(2),
+        quick=(0,),
     ),
 )
 def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
@@ -101,7 +101,7 @@ def test_whiskers_of_other_stiffness_share_a_surface():
 @lru_cache(maxsize=1)
 def coarse(w, friction):
     """Contacts all over: see `contacts`."""
-    share = np.broadcast_to(np.linspace(-14, 9, 400), (81, 400))
+    share = np.broadcast_to(np.linspace(-14, 9, 300), (61, 300))
     return contacts(w, friction, (2e-3, 1.0), share)
 
 
@@ -131,7 +131,7 @@ def brute(w, cue, noise, reading, friction=0.0):
     """
     columns = [("moment", "axial_force", "transverse_force").index(n) for n in cue.signal_names]
     r, rate, signals, area = coarse(w, friction)
-    x = np.broadcast_to(np.linspace(-14, 9, 400), area.shape)
+    x = np.broadcast_to(np.linspace(-14, 9, 300), area.shape)
     reach = r[-1]
     for _ in range(2):
         log = noise.log_likelihood(reading, signals[..., columns]) + area
@@ -145,9 +145,9 @@ def brute(w, cue, noise, reading, friction=0.0):
         of_r = np.exp(log - log.max()).sum(axis=1)
         mass = np.flatnonzero(of_r > 1e-9 * of_r.max())
         ends = r[max(mass[0] - 2, 0)] / reach, r[min(mass[-1] + 2, len(r) - 1)] / reach
-        fine = reach * (ends[1] - (ends[1] - ends[0]) * (1 - np.linspace(0, 1, 161)) ** 1.5)
+        fine = reach * (ends[1] - (ends[1] - ends[0]) * (1 - np.linspace(0, 1, 101)) ** 1.5)
         low, high = np.interp(fine, r, low), np.interp(fine, r, high)
-        x = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 160)
+        x = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 120)
         r, rate, signals, area = contacts(w, friction, ends, x)
     # Where a signal changes sign its noise is the floor's: what has that sign is a narrow peak,
     # of which these nodes alone took a quarter (sds 0.03 off). Signals are smooth: a spline.
@@ -278,7 +278,7 @@ def test_compliance_of_a_curved_whisker():
     assert abs(found.mean - 25e-3) < 4 * found.sd
 
 
-@pytest.mark.parametrize("effort", [1.0, None])
+@pytest.mark.parametrize("effort", slow_but([1.0, None], (1,)))
 def test_a_curved_whisker_balances_where_the_planar_beam_says(effort):
     """The effort is the muscle's at the balance, up to where it would peak; so with friction."""
     w, friction = whisker(20, 8.0), -0.3
@@ -304,7 +304,7 @@ def test_a_curved_whisker_balances_where_the_planar_beam_says(effort):
 
 @pytest.mark.parametrize(
     ("effort", "unknown"),
-    [(1.0, False), (None, False), pytest.param(1.0, True, marks=pytest.mark.slow)],  # 8, 2, 1 s
+    slow_but([(1.0, False), (None, False), (1.0, True)], (1,)),
 )
 def test_posteriors_of_a_curved_balance_are_a_plain_sum(effort, unknown):
     """Over distances and rotations, by the planar beam's moments, with a friction known or not."""

@@ -107,18 +107,25 @@ def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
 @pytest.mark.parametrize(
     ("noise", "spread", "contact", "off"),
     [
-        (LogNormal(0.034374), 0.954101, [37.972e-3, 0.33771, 0.22775], [-0.25682, 0.17446]),
+        pytest.param(
+            LogNormal(0.034374),
+            0.954101,
+            [37.972e-3, 0.33771, 0.22775],
+            [-0.25682, 0.17446],
+            marks=pytest.mark.slow,
+        ),
         (
             GeneralisedWeber(0.013195, floor=[1e-9, 1e-7]),
             0.159135,
             [5.5023e-3, 0.63515, 1.21273],
             [2.94878, -0.60280],
         ),
-        (
+        pytest.param(
             GeneralisedWeber(0.36712, floor=[1e-9, 1e-7]),
             0.526036,
             [29.872e-3, 0.25749, 0.44616],
             [-0.23246, -0.76139],
+            marks=pytest.mark.slow,
         ),
         (
             LogNormal(0.0041098),
@@ -141,6 +148,7 @@ def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contac
     assert_as_all_at_once(observer, reading)
 
 
+@pytest.mark.slow  # the ridges above are judged by the same sums
 def test_the_last_unknown_apart_is_as_all_at_once(search_seed):
     """Distances, angles and last unknowns, of cues and noise drawn at random."""
     rng = np.random.default_rng(search_seed)
@@ -291,6 +299,7 @@ def test_nodes_share_trees_where_only_directions_turn():
         assert len(np.unique(layers.further(nodes), axis=0)) == trees
 
 
+@pytest.mark.slow  # those of one tree fewer: `test_tree.py`
 def test_draws_and_quantiles_of_a_roll_agree_and_stay_in_its_prior():
     found = ww.posterior(ROLLED, ROLLED.read([30e-3, 0.25, 2.0, 0.2], seed=4))
     draws = found.solution.draws(4000, 1).reshape(-1, 4)

@@ -22,7 +22,7 @@ W = Whisker(50e-3, 100e-6, 5e-6)
 @pytest.mark.parametrize(
     ("k", "curvature"),
     # On concave whiskers the density of nodes was below zero in parts: 3e-5 sd off.
-    slow_but([(0.03, 0.0), (0.2, 8.0), (0.1, -12.0), (0.2, 0.0), (0.03, 8.0)], range(3)),
+    slow_but([(0.03, 0.0), (0.2, 8.0), (0.1, -12.0), (0.2, 0.0), (0.03, 8.0)], (0, 2)),
 )
 def test_one_touch_is_todays_posterior(k, curvature):
     whisker = Whisker(50e-3, 100e-6, 5e-6, curvature=curvature)
@@ -42,37 +42,40 @@ def test_one_touch_is_todays_posterior(k, curvature):
 
 @pytest.mark.parametrize(
     ("k", "curvature", "distance", "shares", "seed", "between"),
-    [
-        (0.1, 0.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
-        (0.1, 8.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
-        (0.1, -12.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
-        # Where the axial force turns with the angle nodes at even steps of its coordinate missed
-        # bumps: these were 3.4, 1.2 and 0.9 sd off, and converged.
-        (
-            0.03,
-            0.0,
-            4.775e-3,
-            [0.506, 0.518, 0.275, 0.144, 0.04, 0.398, 0.385, 0.043, 0.249, 0.777],
-            29,
-            (3.2e-3, 5.68e-3),
-        ),
-        (
-            0.03,
-            0.0,
-            6.888e-3,
-            [0.223, 0.896, 0.606, 0.447, 0.503, 0.467, 0.113, 0.287, 0.063, 0.899],
-            81,
-            (5.11e-3, 8.32e-3),
-        ),
-        (
-            0.03,
-            0.0,
-            6.575e-3,
-            [0.695, 0.713, 0.852, 0.88, 0.097, 0.553, 0.531, 0.553, 0.48, 0.394],
-            222,
-            (5.73e-3, 7.38e-3),
-        ),
-    ],
+    slow_but(
+        [
+            (0.1, 0.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
+            (0.1, 8.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
+            (0.1, -12.0, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
+            # Where the axial force turns with the angle nodes at even steps of its coordinate
+            # missed bumps: these were 3.4, 1.2 and 0.9 sd off, and converged.
+            (
+                0.03,
+                0.0,
+                4.775e-3,
+                [0.506, 0.518, 0.275, 0.144, 0.04, 0.398, 0.385, 0.043, 0.249, 0.777],
+                29,
+                (3.2e-3, 5.68e-3),
+            ),
+            (
+                0.03,
+                0.0,
+                6.888e-3,
+                [0.223, 0.896, 0.606, 0.447, 0.503, 0.467, 0.113, 0.287, 0.063, 0.899],
+                81,
+                (5.11e-3, 8.32e-3),
+            ),
+            (
+                0.03,
+                0.0,
+                6.575e-3,
+                [0.695, 0.713, 0.852, 0.88, 0.097, 0.553, 0.531, 0.553, 0.48, 0.394],
+                222,
+                (5.73e-3, 7.38e-3),
+            ),
+        ],
+        (2, 3),
+    ),
 )
 def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed, between):
     """Of several deflections, beside a sum over distance and each deflection."""
@@ -161,7 +164,7 @@ HINGED = Observer(
 def test_what_touches_share_is_summed(observer, known, contact):
     """Beside a plain sum over whiskers of which it is known, distances and deflections."""
     readings = observer.read([[28e-3, theta, contact] for theta in (0.15, 0.3, 0.08)], seed=0)
-    z = np.linspace(-5, 5, 41)
+    z = np.linspace(-5, 5, 31)
     value = observer.prior[observer.unknowns[-1]].ppf(norm.cdf(z))
     r = (np.arange(240) + 0.5) / 240 * W.length
     share = ((np.arange(240) + 0.5) / 240) ** 2
@@ -270,7 +273,7 @@ def test_misuse_of_touches_is_refused(work, says):
 
 @pytest.mark.parametrize(
     ("noise", "factor"),
-    slow_but(product([Weber(0.01), LogNormal(0.1)], [[-1.0, -1.0], [1e36, 1e-25]]), (0, 3)),
+    slow_but(product([Weber(0.01), LogNormal(0.1)], [[-1.0, -1.0], [1e36, 1e-25]]), (0,)),
 )
 def test_a_reading_of_no_contact_among_touches_is_said(noise, factor):
     """Its errors overflowed where distances had next to no sd."""

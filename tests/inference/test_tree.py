@@ -157,9 +157,9 @@ def test_fusions_miss_no_mode(k):
     cue = Fused(map_, vibration)
     noise = cue.joint(Weber(k), vibration.noise(k, 0.05))
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 100e-6 / 1.5), cue, noise)
-    contact = prior_draws(observer, 6, seed=5)
+    contact = prior_draws(observer, 3, seed=5)
     off = worst(observer, observer.read(contact, seed=6))
-    assert len(off) > 3
+    assert len(off) > 1
     assert off.max() < 1
 
 
@@ -167,11 +167,21 @@ def test_fusions_miss_no_mode(k):
     ("prior", "r", "theta"),
     [
         # One that leaves no angle at some distances, one that is infinite at an end.
-        ({"deflection_angle": stats.uniform(0.1, 0.2)}, (0, 50e-3), (0.1, 0.3)),
+        pytest.param(
+            {"deflection_angle": stats.uniform(0.1, 0.2)},
+            (0, 50e-3),
+            (0.1, 0.3),
+            marks=pytest.mark.slow,
+        ),
         ({"deflection_angle": stats.beta(2, 0.5, 0.1, 0.2)}, (0, 50e-3), (0.1, 0.3)),
         # Sharper than the first boxes: no reading, no contacts, or 13 sd off.
         ({"radial_distance": stats.norm(31e-3, 1e-4)}, (30.4e-3, 31.6e-3), (0, 0.7)),
-        ({"deflection_angle": stats.norm(0.2, 5e-4)}, (0, 50e-3), (0.197, 0.203)),
+        pytest.param(
+            {"deflection_angle": stats.norm(0.2, 5e-4)},
+            (0, 50e-3),
+            (0.197, 0.203),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["cut off", "infinite", "sharp", "sharp angle"],
 )
@@ -266,8 +276,8 @@ def test_a_density_may_leap_where_its_support_ends(prior):
     "noise",
     [
         LogNormal(0.1),
-        Saturating(0.1, ceiling=[3e-5, 3e-3]),
-        SpikeCount(Afferents(30, [1e-8, 1e-7], [1e-4, 1e-2])),
+        pytest.param(Saturating(0.1, ceiling=[3e-5, 3e-3]), marks=pytest.mark.slow),
+        pytest.param(SpikeCount(Afferents(30, [1e-8, 1e-7], [1e-4, 1e-2])), marks=pytest.mark.slow),
         SpikeCount(Afferents(4, [1e-8, 1e-7], [1e-4, 1e-2]), gain_sd=0.3),
     ],
     ids=["log-normal", "saturating", "spikes", "few spikes"],
@@ -296,7 +306,7 @@ def test_one_reading_and_many_have_the_same_posterior():
         assert one.sd == pytest.approx(many.sd[i], rel=1e-9)
 
 
-@pytest.mark.parametrize("k", [0.05, 0.3])
+@pytest.mark.parametrize("k", slow_but([0.05, 0.3], (1,)))
 def test_quantiles_are_those_of_a_table_of_contacts(k):
     observer = ww.Observer(W, ForceMap(), Weber(k))
     readings = observer.read([[20e-3, 0.2], [40e-3, 0.1], [45e-3, 0.05]], seed=4)
@@ -320,7 +330,7 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
 
 @pytest.mark.parametrize(
     ("k", "contact"),
-    [(0.03, [27.4e-3, 0.6353]), (0.1, [19.85e-3, 0.81]), (0.3, [23.35e-3, 0.7563])],
+    slow_but([(0.03, [27.4e-3, 0.6353]), (0.1, [19.85e-3, 0.81]), (0.3, [23.35e-3, 0.7563])], (1,)),
 )
 def test_ends_of_an_angles_interval_beside_the_fold_are_those_of_a_plain_sum(k, contact):
     """Over distances and the root of the share short of the fold, in which the fold is smooth."""
@@ -407,10 +417,10 @@ def test_evidence_and_the_ends_of_a_wide_interval_are_those_of_a_table():
             [2.443541856197765e-05, 0.002033287786254244, 1.5212367759686423, 0.3210973568819678],
             (33e-3, 110.4e-6),
         ),
-        (
+        pytest.param(
             "forces and bearings", 1.0, 0.01, 0.03,
             [4.053702804209343e-06, 0.00016962956175361213, 1.7713395039108764, 2.003381206586326],
-            (52e-3, 67.3e-6),
+            (52e-3, 67.3e-6), marks=pytest.mark.slow,
         ),
     ],
 )  # fmt: skip
@@ -554,7 +564,7 @@ def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     assert np.allclose(measured.mean, exact.mean, atol=1e-6 * exact.sd)
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1, pytest.param(40, marks=pytest.mark.slow)])
 def test_cells_that_are_not_kept_change_nothing(count, monkeypatch):
     """Beyond the memory that is set there are those of one step, and of one reading at the most."""
     split, most = tree.Tree.split, []
@@ -603,7 +613,7 @@ def plain_sum_of_wedge(observer, reading, prior, low, count):
     "prior",
     slow_but(
         [stats.uniform(0.3, 0.3), stats.uniform(0.1, 0.4), stats.truncnorm(-1, 3, 0.5, 0.1)],
-        (0, 2),
+        (2,),
     ),
 )
 def test_a_prior_of_the_angle_may_begin_above_the_fold(prior):
@@ -625,6 +635,7 @@ def test_a_prior_of_the_angle_may_begin_above_the_fold(prior):
         assert abs(p.log_evidence[i] - log_evidence) < 2e-3
 
 
+@pytest.mark.slow  # without friction: the test before
 def test_a_wedge_of_angles_ends_at_a_distance_of_its_own_for_each_friction():
     """Beside sums over distance, angle and friction; none of the three has cells there."""
     least, wide, largest = 0.3, 0.3, np.arctan(0.3)

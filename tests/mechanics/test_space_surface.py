@@ -1,5 +1,7 @@
 """The table of six signals in space: beside the rod, a referee, the plane and the straight."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from analysis_scripts import load
@@ -14,6 +16,11 @@ BEND = 8.0
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=BEND)
 
 
+@cache
+def in_space(friction):
+    return CurvedSurface(W, (friction, friction), in_space=True)
+
+
 def relative(found, exact):
     """Errors over the size of force and of moment."""
     off = found - exact
@@ -23,13 +30,13 @@ def relative(found, exact):
 
 @pytest.mark.parametrize("friction", slow_but([0.0, -0.3, 0.3], (1,)))
 def test_signals_and_ends_are_those_of_the_rod_itself(friction):
-    surface = CurvedSurface(W, (friction, friction), in_space=True)
+    surface = in_space(friction)
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
-    r = surface.reach * rng.uniform(0.02, 0.995, 40)
-    azimuth = rng.uniform(-np.pi, np.pi, 40)
+    r = surface.reach * rng.uniform(0.02, 0.995, 24)
+    azimuth = rng.uniform(-np.pi, np.pi, 24)
     last = surface.limit(r, azimuth)
-    push = last * np.append(rng.uniform(0.01, 0.99, 20), [0.999] * 20)
+    push = last * np.append(rng.uniform(0.01, 0.99, 12), [0.999] * 12)
     found, outcome = surface(r, push, azimuth)
     exact, held = pressed(W, r, push, azimuth, friction=friction)
     assert (outcome == Outcome.HELD).all()
@@ -58,7 +65,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
     force = rods.polish(push, *rods.at(way["trail"], push)[:2])["force"]
     moment = np.cross(rods.point(push), force, axis=0)
     exact = np.concatenate([[-1], [1], [1]]) * force.T
-    found, _ = CurvedSurface(W, (friction, friction), in_space=True)(r, push, azimuth)
+    found, _ = in_space(friction)(r, push, azimuth)
     assert np.max(relative(found, np.concatenate([exact, moment.T], axis=1))) < 5e-5
 
 
@@ -68,7 +75,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
 )
 def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction):
     """Pushed against its curvature it is the whisker of the other sign, upside down."""
-    surface = CurvedSurface(W, (friction, friction), in_space=True)
+    surface = in_space(friction)
     mirrored = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND)
     plane = CurvedSurface(mirrored, (friction, friction))
     r = np.linspace(0.05, 0.995, 24) * surface.reach
@@ -99,7 +106,7 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals():
     push = np.array([-0.1, 3.0, 0.1, 0.1, 0.1, 0.1])
     azimuth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, np.nan])
     for signals, outcome in (
-        CurvedSurface(W, in_space=True)(r, push, azimuth),
+        in_space(0.0)(r, push, azimuth),
         pressed(W, r, push, azimuth),
     ):
         assert np.isnan(signals).all()

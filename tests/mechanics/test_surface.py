@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -13,7 +14,7 @@ from weberwhisk.mechanics.forward import ForwardModel
 TIPS = {"truncated": 5e-6, "cone": 0.0, "needle": 1e-7, "blunt": 50e-6, "cylinder": 100e-6}
 
 
-@pytest.mark.parametrize("tip", TIPS.values(), ids=TIPS)
+@pytest.mark.parametrize("tip", slow_but(TIPS.values(), (0, 1)), ids=TIPS)
 def test_signals_and_outcomes_are_those_of_rung_1(tip):
     w = ww.Whisker(50e-3, 100e-6, tip)
     rng = np.random.default_rng(5)
@@ -63,12 +64,15 @@ def test_a_friction_that_is_given_is_that_of_the_table():
 
 @pytest.mark.parametrize(
     ("radius_ratio", "curvature", "friction", "ends"),
-    [
-        (1.63, 9.6, 0.086, None),
-        (2.15, 7.9, 0.138, None),
-        (2.84, 0.7, 0.138, None),
-        (1.63, 9.6, None, (-0.2, 0.2)),
-    ],
+    slow_but(
+        [
+            (1.63, 9.6, 0.086, None),
+            (2.15, 7.9, 0.138, None),
+            (2.84, 0.7, 0.138, None),
+            (1.63, 9.6, None, (-0.2, 0.2)),
+        ],
+        (0, 3),
+    ),
 )
 def test_the_limit_of_a_rubbing_whisker_ends_where_its_tip_slips_off(
     radius_ratio, curvature, friction, ends

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -67,7 +68,7 @@ def test_a_wall_is_followed_from_where_its_flank_touches():
 
 
 @pytest.mark.parametrize("steps", [15, pytest.param(24, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("curvature", "friction"), [(8.0, -0.3), (-20.0, 0.0)])
+@pytest.mark.parametrize(("curvature", "friction"), slow_but([(8.0, -0.3), (-20.0, 0.0)], (0,)))
 def test_curved_and_rubbing_whiskers_are_followed(curvature, friction, steps):
     """On their convex and their concave side, by the moments of the planar beam."""
     whisker = replace(W, curvature=curvature)
