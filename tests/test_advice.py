@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
+from short_forms import slow_but
 from test_misuse import MISUSES, RECEPTOR_AND_CUE_MISUSES
 
 import weberwhisk as ww
@@ -228,7 +229,7 @@ FOLLOWED = [
 ]
 
 
-@pytest.mark.parametrize("line", FOLLOWED)
+@pytest.mark.parametrize("line", slow_but(FOLLOWED, (0, 2, 3, 5, 6, 8)))
 def test_who_types_what_a_refusal_gives_gets_a_result(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

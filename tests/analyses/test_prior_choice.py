@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from analysis_scripts import load
 from scipy import stats
+from short_forms import slow_but
 
 from weberwhisk import fit_weber, read_trials
 from weberwhisk.behaviour import task_named
@@ -29,8 +30,8 @@ def test_what_was_chosen_is_the_default(task: str) -> None:
 
 @pytest.mark.parametrize(
     ("task", "trials", "k", "place", "lapse"),
-    [("2AFC", 40, 0.03, 0.2, 0.02), ("go/no-go", 200, 0.1, 5.0, 0.08),
-     ("same-different", 200, 0.1, 3.0, 0.0)],
+    slow_but([("2AFC", 40, 0.03, 0.2, 0.02), ("go/no-go", 200, 0.1, 5.0, 0.08),
+              ("same-different", 200, 0.1, 3.0, 0.0)], (1,)),
 )  # fmt: skip
 def test_the_nodes_give_what_the_fit_gives(
     task: str, trials: int, k: float, place: float, lapse: float
@@ -39,8 +40,14 @@ def test_the_nodes_give_what_the_fit_gives(
     found = script.outcome(observer, 3)
     errors = found.errors[script.shipped(task)]
     for i, count in enumerate(observer.answers(3)):
-        table = pd.DataFrame({"standard": 1.0, "comparison": observer.levels,
-                              "n": observer.shown.astype(int), "n_greater": count.astype(int)})
+        table = pd.DataFrame(
+            {
+                "standard": 1.0,
+                "comparison": observer.levels,
+                "n": observer.shown.astype(int),
+                "n_greater": count.astype(int),
+            }
+        )
         fit = fit_weber(read_trials(table[table["n"] > 0], task=task))
         middle, low, high = np.log(fit.posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
         sd = (high - low) / 3.92

@@ -50,7 +50,8 @@ def test_the_same_command_makes_the_same_plan(folder: Path, tmp_path: Path) -> N
 def test_design_takes_curvature_and_one_stimulus(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shape = ["--identity", "C2", "--trials", "10", "--runs", "0"]
+    shape = ["--identity", "C2", "--trials", "10", "--runs", "0", "--standard-mm", "20"]
+    shape += ["--level", "-1,1"]
     command = ["design", *shape, "--curvature-per-m", "own", "--task", "go/no-go"]
     assert run_app(cli.app, [*command, "--out", str(tmp_path / "plan")]) == 0
     assert "curvature +16.5986 /m" in capsys.readouterr().out

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -41,12 +42,18 @@ def test_help_imports_no_mathematics(command: str) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "needed"),
-    [
-        ((*BEND, "--json"), {"pandas"}),
-        (("jnd", "--identity", "C2", "--draws", "2", "--json"), {"pandas", "scipy"}),
-        (("simulate", "--json"), {"pandas", "scipy", "scipy.stats"}),
-        (("fit", str(CHOICES), "--subject", "s1", "--json"), {"pandas", "scipy", "scipy.stats"}),
-    ],
+    slow_but(
+        [
+            ((*BEND, "--json"), {"pandas"}),
+            (("jnd", "--identity", "C2", "--draws", "2", "--json"), {"pandas", "scipy"}),
+            (("simulate", "--json"), {"pandas", "scipy", "scipy.stats"}),
+            (
+                ("fit", str(CHOICES), "--subject", "s1", "--json"),
+                {"pandas", "scipy", "scipy.stats"},
+            ),
+        ],
+        (0, 3),
+    ),
 )
 def test_an_answer_without_a_figure_imports_no_matplotlib(
     arguments: tuple[str, ...], needed: set[str]

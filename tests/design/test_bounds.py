@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.commands import plans as commands
@@ -67,7 +68,9 @@ def test_the_remedies_of_the_bound_pass_it() -> None:
     assert fewest_animals(PAIR[0], SubjectPopulation(spread=3.0), 0.2, share=0.8) is None
 
 
-@pytest.mark.parametrize(("hypotheses", "goal"), [(PAIR[:1], Precision(0.2)), (PAIR, Evidence(10))])
+@pytest.mark.parametrize(
+    ("hypotheses", "goal"), slow_but([(PAIR[:1], Precision(0.2)), (PAIR, Evidence(10))], (1,))
+)
 def test_the_information_of_trials_is_no_more_than_simulation_finds(
     hypotheses: Any, goal: Goal
 ) -> None:
@@ -94,7 +97,10 @@ def test_the_search_shows_the_time_left_on_a_terminal(
 ) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys, "stderr", shown := Terminal())
-    plan_experiment("C2", runs=16, progress=progress, seed=1)
+    plan_experiment(
+        magnitude="duration", standards=[300, 600], goal=Precision(0.3), people=1, runs=8,
+        progress=progress, seed=1,
+    )  # fmt: skip
     if progress is None:
         assert "Smallest design" in shown.getvalue()
         assert "-:--:--" in shown.getvalue() or "0:00:" in shown.getvalue()

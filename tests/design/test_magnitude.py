@@ -45,7 +45,7 @@ PLANS = {
 }
 
 
-@pytest.fixture(scope="module", params=PLANS)
+@pytest.fixture(scope="module", params=slow_but(PLANS, (2, 4)))
 def planned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a plan of each, made on the command line."""
     out = tmp_path_factory.mktemp("plan") / "out"
@@ -69,7 +69,7 @@ def test_a_plan_has_no_word_of_whiskers(planned: Path) -> None:
     assert f" {magnitude.unit} against " in text or not magnitude.unit
 
 
-@pytest.mark.parametrize("planned", slow_but(PLANS, (0, 4)), indirect=True)
+@pytest.mark.parametrize("planned", slow_but(PLANS, (4,)), indirect=True)
 def test_its_figures_can_be_read(planned: Path) -> None:
     plan = ww.read_plan(planned / "plan.json")
     for axes in (plots.planned_jnds(plan), plots.planned_psychometrics(plan),
@@ -82,7 +82,7 @@ def test_its_figures_can_be_read(planned: Path) -> None:
         assert "e+0" not in shown
 
 
-@pytest.mark.parametrize("planned", slow_but(PLANS, (2, 4)), indirect=True)
+@pytest.mark.parametrize("planned", slow_but(PLANS, (2,)), indirect=True)
 def test_its_answers_are_analysed_in_its_unit(planned: Path, tmp_path: Path, capsys) -> None:
     """As a keyboard and as a table of choices has them."""
     plan = ww.read_plan(planned / "plan.json")
@@ -261,10 +261,12 @@ def test_trials_that_are_missing_are_said(
         said = capsys.readouterr().out
         assert ("not the preregistered verdict" in said) == (missing > 0)
         assert (f"{missing} planned trials are missing." in said) == (missing > 0)
+        if not missing:
+            continue
         assert run_app(app, ["analyse", str(file), str(data), "--json"]) == 0
         answer = json.loads(capsys.readouterr().out)
         assert (answer["missing"], answer["not_planned"]) == (missing, 0)
-        assert answer["as_planned"] == (missing == 0)
+        assert not answer["as_planned"]
 
 
 def test_the_analysis_has_equality_and_jnd_in_the_unit_and_leaves_trials_out(
@@ -297,9 +299,9 @@ def test_next_analyse_and_fit_agree_on_one_session(
     """They gave 0.076, 0.079 and 0.0915: each now names the command that repeats its number."""
     log = tmp_path / "p1.jsonl"
     rng = np.random.default_rng(3)
-    monkeypatch.setattr("sys.stdin", iter(f"{int(u > 0.4)}\n" for u in rng.random(40)))
+    monkeypatch.setattr("sys.stdin", iter(f"{int(u > 0.4)}\n" for u in rng.random(28)))
     command = ["next", "--magnitude", "duration", "--unit", "ms", "--standards", "300,600"]
-    assert run_app(app, [*command, "--most", "40", "--log", str(log)]) == 0
+    assert run_app(app, [*command, "--most", "28", "--log", str(log)]) == 0
     first, *_, last = map(json.loads, capsys.readouterr().out.splitlines())
     assert {"standard_ms", "comparison_ms"} <= {*first}
     k = {}
@@ -309,7 +311,7 @@ def test_next_analyse_and_fit_agree_on_one_session(
     out = tmp_path / "out"
     assert run_app(app, ["analyse", str(small[0]), str(log), "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "40 trials were not planned" in said
+    assert "28 trials were not planned" in said
     again = next(line for line in said.splitlines() if "weberwhisk fit" in line)
     again = again[again.index("weberwhisk fit") :]
     assert run_app(app, [*shlex.split(again)[1:], "--json"]) == 0
@@ -324,7 +326,7 @@ def test_next_analyse_and_fit_agree_on_one_session(
 # -- power, beside whole experiments --------------------------------------------------------------
 
 
-@pytest.mark.parametrize("runs", [24, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [12, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("magnitude", "options"),
     slow_but([

@@ -37,7 +37,7 @@ KNOWN = Priors(lapse_low=0.02, lapse_high=0.03)
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     """One animal that will be told apart: half way and near the tip."""
-    return plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=40, runs=0, seed=3)
+    return plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=20, runs=0, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -165,13 +165,13 @@ def test_wilsons_interval_solves_its_own_equation() -> None:
 
 
 def test_animals_fitted_together_are_fitted_as_a_population() -> None:
-    tapered = taper(C2)[0]
+    tapered = replace(taper(C2)[0], priors=KNOWN)
     scheme = Scheme.spaced(tapered.encoding, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
     plan = Plan(scheme, [tapered], Precision(half_width=0.5), together=True)
     truth = plan.animals.draw(2, 1)
     answers = simulate_responses(plan.trials, truth, encoding=tapered.encoding, seed=1)
     finding = plan.analyse(answers)
-    whole = fit_population(answers, encoding=tapered.encoding, bias="per standard")
+    whole = fit_population(answers, encoding=tapered.encoding, bias="per standard", priors=KNOWN)
     row = finding.estimates.iloc[0]
     assert row["subject"] == "population"
     assert (row["lower"], row["upper"]) == whole.interval(0.95)

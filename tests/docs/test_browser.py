@@ -20,6 +20,7 @@ from types import ModuleType
 
 import pandas as pd
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.behaviour import CueEncoding
@@ -63,14 +64,14 @@ assert 0.05 < fit.weber_fraction < 0.3 and "Weber fraction" in fit.report()
 """
 CONTACTS = """
 observer = ww.Observer(ww.Whisker.from_identity("C2"), ww.cues.ForceMap())
-assert ww.posterior(observer, observer.read([[20e-3, 0.26]] * 40, seed=1)).sd.shape[0] == 40
+assert ww.posterior(observer, observer.read([[20e-3, 0.26]] * 8, seed=1)).sd.shape[0] == 8
 tap = ww.Observer(observer.whisker, ww.cues.Compliance())
-assert (ww.jnd_curve(tap, [5e-3, 25e-3], n_readings=20, seed=1)["posterior"] > 0).all()
+assert (ww.jnd_curve(tap, [5e-3, 25e-3], n_readings=4, seed=1)["posterior"] > 0).all()
 """
 PLAN = """
 import json, tempfile
 with tempfile.TemporaryDirectory() as folder:
-    plan = ww.plan_experiment("C2", trials=10, runs=8, seed=1)
+    plan = ww.plan_experiment("C2", standards=[20e-3], levels=[-1, 1], trials=10, runs=8, seed=1)
     ww.write_plan(plan, folder)
     with open(folder + "/plan.json", encoding="utf-8") as file:
         assert json.load(file)["trials_sha256"] == plan.fingerprint
@@ -122,7 +123,7 @@ def _guessed(pages: ModuleType, file: str) -> dict[str, str]:
     return WHISKER | chosen | {"file": path, "scale": "linear"}
 
 
-@pytest.mark.parametrize("scale", ["linear", "whisker"])
+@pytest.mark.parametrize("scale", slow_but(["linear", "whisker"], (0,)))
 def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: str) -> None:
     fields = _guessed(pages, "distance_tapered.csv") | {"scale": scale}
     shown = json.loads(pages.call("fit", json.dumps(fields)))

@@ -80,7 +80,7 @@ def planned(
     return folder, plan, answer, direct
 
 
-@pytest.mark.parametrize("rig", slow_but(["psychopy", "bpod's own", "bpod", "own"], (0, 1)))
+@pytest.mark.parametrize("rig", slow_but(["psychopy", "bpod's own", "bpod", "own"], (1,)))
 def test_a_plan_is_analysed_on_a_rigs_own_table(
     planned: tuple[Path, Plan, pd.Series, AnalysisResult],
     rig: str,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -231,7 +232,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
         "jnd_surface": plots.jnd_surface(
             linear_surface(moment_alone, 20), length=50e-3, weber_fraction=0.1
         ),
-        "located": plots.located(ww.locate(table, WHISKER)),
+        "located": plots.located(ww.locate(table, replace(WHISKER, curvature=0.0))),
         "place": plots.place(ww.place(all_of_them, touching)),
         "placements": plots.placements(placer),
         "planned_jnds": plots.planned_jnds(plan),

@@ -31,7 +31,7 @@ SCHEME = Scheme.spaced(PAIR[0].encoding, [15e-3, 45e-3], trials=4)
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler, and two worker processes that are replaced when they die."""
+    """A scheduler, and a worker process that is replaced when it dies."""
     pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("cluster")
     environment = os.environ | {
@@ -47,7 +47,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
     commands = [
         ["scheduler", "--port", "0", *where],
-        ["worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
+        ["worker", "--nworkers", "1", "--nthreads", "1", "--no-dashboard",
          "--scheduler-file", str(file), "--local-directory", str(folder)],
     ]  # fmt: skip
     processes = [
@@ -113,14 +113,26 @@ def test_power_and_recovery(cluster: str) -> None:
 
 def test_posteriors(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quadrature, "TOGETHER", 2)
-    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
-    y = observer.read([[15e-3, 0.1], [25e-3, 0.1], [35e-3, 0.1]], seed=1)
+    observer = ww.Observer(WHISKER, ww.cues.Compliance())
+    y = observer.read([[15e-3], [25e-3], [35e-3]], seed=1)
     alone, there = (ww.posterior(observer, y, scheduler=where) for where in (None, cluster))
     pd.testing.assert_frame_equal(there.summary(), alone.summary())
 
 
 def test_the_command(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:
-    few = ["--standard-mm", "10,30", "--level", "1,2", "--trials", "4", "--runs", "8", "--json"]
+    few = [
+        "--standard-mm",
+        "10,30",
+        "--level",
+        "1,2",
+        "--trials",
+        "4",
+        "--runs",
+        "8",
+        "--json",
+        "--find",
+        "nothing",
+    ]
     answers = []
     for how in (["--workers", "1"], ["--scheduler", cluster]):
         assert run_app(app, ["design", *few, *how]) == 0

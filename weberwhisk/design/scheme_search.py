@@ -80,9 +80,11 @@ def best_scheme(
     Examples
     --------
     >>> from weberwhisk import Whisker
+    >>> from weberwhisk.behaviour import Priors
     >>> from weberwhisk.design import Constraints, taper
-    >>> found = best_scheme(taper(Whisker(50e-3, 100e-6, 5e-6)), standards=2, pairs=2,
-    ...                     constraints=Constraints(nearest=5e-3, farthest=45e-3), runs=32)
+    >>> lapses = Priors(lapse_low=0.02, lapse_high=0.02)
+    >>> found = best_scheme(taper(Whisker(50e-3, 100e-6, 5e-6), priors=lapses), standards=2,
+    ...                     constraints=Constraints(nearest=5e-3, farthest=45e-3), runs=8)
     >>> near, far = found.standards
     >>> near < 15e-3 and far > 35e-3
     True
