@@ -106,6 +106,14 @@ def _global_random_state_is_left_alone() -> Iterator[None]:
     np.testing.assert_array_equal(before["state"]["key"], after["state"]["key"])
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the draws from a fit, for tests of commands and pages, not of estimates."""
+    from weberwhisk.behaviour.quadrature import QuadraturePosterior
+
+    monkeypatch.setattr(QuadraturePosterior.__init__, "__defaults__", (0, 1000, 4))
+
+
 @pytest.fixture(scope="session")
 def arviz() -> Any:
     """ArviZ; on the first import of a day 0.23 announces its successor, and warnings are errors."""

@@ -34,6 +34,7 @@ def test_tables_whose_noise_nobody_gave(signals: int, shape: bool, touch: bool) 
     assert contacts.held(sure)["held"] < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "left_out", "least"),
     slow_but([(contacts.SENSORS[2], (1, 5, 9), 3),

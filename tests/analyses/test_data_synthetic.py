@@ -48,6 +48,7 @@ def test_the_fit_is_what_the_package_says(entry: dict) -> None:
                 assert low < animal[name] < high, name
 
 
+@pytest.mark.slow  # two causes of one animal: tests/behaviour/test_causes.py
 def test_the_drifting_animal_is_found_out() -> None:
     trials = read_trials(FOLDER / "trouble_drift.csv")
     fit = fit_weber(trials, effects=[Drift()])

@@ -19,6 +19,7 @@ def table(tmp_path_factory):
     return made
 
 
+@pytest.mark.slow
 def test_without_any_of_it_every_method_reads_the_truth(table):
     """The observers invert what they assume, with slope one: nothing but the factors is off."""
     plain = table[table["amount"] == 0]
@@ -38,6 +39,7 @@ def test_the_jnds_are_those_of_the_package():
     assert limits.jnd("sweeping", r) == pytest.approx(closed / np.sqrt(limits.SWEEP), rel=0.03)
 
 
+@pytest.mark.slow
 def test_moments_stay_useful_and_axial_force_does_not(table):
     """Even at the most of each factor, distances are told apart by moment with slope near one."""
     moment = table[table["method"].isin(["compliance", "sweeping", "balance of moments"])]

@@ -59,6 +59,7 @@ def test_the_nodes_give_what_the_fit_gives(
         np.testing.assert_allclose(found.moves[:, :, i].max(axis=1), theirs, atol=0.1)
 
 
+@pytest.mark.slow
 def test_short_form(tmp_path: Path) -> None:
     text = script.report(2, lambda o: o.k == 0.1 and o.trials == 40 and o.lapse in (0.0, 0.2))
     assert "cauchy(0, 0.7)" in text

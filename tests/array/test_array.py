@@ -316,6 +316,7 @@ def coverage(count: int) -> Any:
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_regions_cover_what_they_say() -> None:
     found = coverage(12)
     assert kstest(found, "uniform").pvalue > 0.01

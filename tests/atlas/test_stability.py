@@ -49,6 +49,7 @@ SIZES = {
 #: Left to the slow form: a cheaper search covers the same engine, or other tests compare it with
 #: brute force (out of the plane, `test_three_unknowns`, `test_fit`, `test_emcee_hard_cases`).
 LONG = {
+    "elastica", "quadrature, floor and ceiling", "quadrature, vibration, phase, odd readings",
     "rod, in the plane", "rod, out of the plane", "fit of choices", "quadrature, tap and map fused",
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance", "fusions of any whisker",
@@ -106,6 +107,7 @@ def test_the_search_can_find() -> None:
     assert (cases["fate"] == fault_search.Fate.RIGHT).sum() == 0
 
 
+@pytest.mark.slow  # in the plane: the test before
 def test_the_search_can_find_out_of_the_plane() -> None:
     """Whiskers that twist by 4 % less than the referee's, which are right where nothing twists."""
     space = load("stability_space")

@@ -119,7 +119,8 @@ def test_units_and_what_the_likelihood_is_of_travel_with_the_file(
 @pytest.mark.parametrize(
     ("table", "options", "named"),
     [
-        ({"task": "3AFC percent correct"}, {}, {"weber_fraction", "lapse_high"}),
+        pytest.param({"task": "3AFC percent correct"}, {}, {"weber_fraction", "lapse_high"},
+                     marks=pytest.mark.slow),
         pytest.param({"task": "yes/no"}, {}, {"weber_fraction", "lapses", "bias"},
                      marks=pytest.mark.slow),
         ({}, {"effects": [Overdispersion()], "bias": "none"},

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from short_forms import slow_but
 
+import weberwhisk as ww
 from weberwhisk import cli
 from weberwhisk.behaviour import (
     FitStatus,
@@ -205,8 +206,14 @@ def test_a_quick_fit_has_the_evidence_of_a_whole_one(every: int) -> None:
         assert abs(off) < 0.2 * np.log(whole.posterior.draws().weber_fraction).std()
 
 
-def test_causes_come_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_causes_come_along(
+    moved: WeberFit,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     trials = biased_sessions()
+    monkeypatch.setattr(ww, "fit_weber", lambda *given, **more: moved)
     path = tmp_path / "table.csv"
     trials.to_csv(path)
     command = ["fit", str(path), "--out", str(tmp_path / "out"), "--json"]

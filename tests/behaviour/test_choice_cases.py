@@ -157,6 +157,7 @@ def test_an_equal_pair_in_the_first_row_is_of_the_same_standard() -> None:
         weber_law_test(fit_weber(first))
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_five_standards_with_two_comparisons_each_are_five(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -219,6 +220,7 @@ def test_without_a_standard_nothing_is_concluded_that_needs_one() -> None:
 # -- order and people -----------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     "by", slow_but([["stimulus_1"], ["stimulus_1", "stimulus_2", "choice"]], (0,))
 )
@@ -319,6 +321,7 @@ def test_the_index_of_a_table_is_read() -> None:
     assert read_trials(made).subjects == ["a", "b"]
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_session_named_like_a_range_is_a_session(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -103,6 +103,7 @@ def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
         assert low < drift < high
 
 
+@pytest.mark.slow  # the evidence by brute force: above
 @pytest.mark.parametrize(
     ("whisker", "best"), slow_but([(TAPERED, "tapered"), (CYLINDER, "cylindrical")], (0,))
 )

@@ -157,6 +157,7 @@ def test_draws_are_the_same_posterior() -> None:
             assert below == pytest.approx(p, abs=4.5 * np.sqrt(p * (1 - p) / n))
 
 
+@pytest.mark.slow  # of emcee for fits: `test_arviz_data.py`
 @pytest.mark.parametrize(
     ("options", "bias"),
     [
@@ -302,6 +303,7 @@ def biased() -> WeberFit:
     return fit_weber(trials, priors={})
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_remedy_keeps_the_encoding_and_priors_of_the_fit(biased: WeberFit) -> None:
     """The line that was given left out an encoding and priors of one's own."""
     given = {"priors": {"lapse_low": 0.02}, "encoding": LogEncoding()}

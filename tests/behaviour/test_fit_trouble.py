@@ -235,6 +235,7 @@ def test_numerosity(subject: str) -> None:
     assert 0.1 < fit.weber_fraction < 0.35
 
 
+@pytest.mark.slow  # simulated: test_fit.py
 def test_the_rat_needs_a_bias_per_standard() -> None:
     trials = load_rat_auditory(range(31, 36))
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import load
-from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -117,9 +116,10 @@ def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.Data
 C2 = ww.Whisker.from_identity("C2", curved=True)
 
 
+@pytest.mark.slow  # the rooms by themselves: here, and tests/recordings
 @pytest.mark.parametrize(
     ("whisker", "seeds", "each"),
-    slow_but([(WHISKER, [2], 2), (C2, [2], 4), (C2, range(3, 11), 8)], quick=(0,)),
+    [(C2, [2], 4), (C2, range(3, 11), 8)],
 )
 def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
     whisker: ww.Whisker, seeds: list[int], each: int, tmp_path
@@ -244,6 +244,7 @@ def test_observers_and_tasks_that_cannot_take_them_are_refused() -> None:
         ww.fit_weber(scored, encoding=ENCODING, distances=located)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_command_takes_a_table_of_distances(tmp_path, capsys, monkeypatch) -> None:
     def _run(args: list[str]) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["weberwhisk", *args])

@@ -29,6 +29,7 @@ def chosen(encoding: object, near: float, far: float, k: float) -> float:
     return float(response_probability(AFC, encoding, near, far, weber_fraction=k)[0])
 
 
+@pytest.mark.slow  # of several whiskers: the next test
 def test_choices_of_several_touches_are_those_of_their_posteriors() -> None:
     """Three touches of each of two distances, read, located by `touches`, and compared."""
     observer = ww.Observer(WHISKER, ww.cues.ForceMap(), ww.receptors.Weber(0.05))

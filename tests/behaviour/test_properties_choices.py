@@ -34,7 +34,7 @@ PAIRS = st.lists(
 ).map(lambda pairs: np.array(pairs).T)
 tasks = st.sampled_from(sorted(TASKS))
 #: Fits cost some 20 ms each: a third of the examples of a formula.
-fits = settings(max_examples=max(settings.default.max_examples // 12, 2))
+fits = settings(max_examples=max(settings.default.max_examples // 12, 1))
 
 
 @given(PAIRS, tasks, K, LAPSE, LAPSE, floats(-2.0, 2.0), POWERS)

@@ -186,6 +186,7 @@ def test_engaged_trials_are_found_and_their_share_is_in_its_interval(
         assert abs(engaged[some].mean() - p[some].mean()) < 0.08
 
 
+@pytest.mark.slow  # of few trials a plain sum does
 def test_importance_sampling_agrees_with_emcee() -> None:
     """The same posterior by ensembles, which share nothing with it but the density."""
     fit = fit_weber(animal(5, per_level=40), states=2)

@@ -149,6 +149,7 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     )
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_fit_takes_some_trials_and_leaves_others_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -191,6 +192,7 @@ def test_fit_takes_some_trials_and_leaves_others_out(
     assert rest.follows.sum() < 6 + 1
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -143,6 +143,7 @@ def test_laplace_says_that_there_are_more_peaks_than_its_own(divided):
     assert not np.any(p.status[~apart] == Status.SEVERAL_PEAKS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scenes",
     [[(2, 0.1, 2)], pytest.param([(2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)], marks=pytest.mark.slow)],

@@ -68,6 +68,7 @@ def test_the_remedies_of_the_bound_pass_it() -> None:
     assert fewest_animals(PAIR[0], SubjectPopulation(spread=3.0), 0.2, share=0.8) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hypotheses", "goal"), slow_but([(PAIR[:1], Precision(0.2)), (PAIR, Evidence(10))], (1,))
 )

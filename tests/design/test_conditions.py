@@ -74,6 +74,7 @@ def test_a_plan_of_conditions_comes_back_and_says_what_it_is(plan: Plan) -> None
     assert "of their animals" not in plan.power_in_words()
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_conditions_are_analysed_and_drawn(
     plan: Plan,
     tmp_path: Path,

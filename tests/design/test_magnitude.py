@@ -45,7 +45,7 @@ PLANS = {
 }
 
 
-@pytest.fixture(scope="module", params=slow_but(PLANS, (2, 4)))
+@pytest.fixture(scope="module", params=slow_but(PLANS, (2,)))
 def planned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a plan of each, made on the command line."""
     out = tmp_path_factory.mktemp("plan") / "out"
@@ -69,7 +69,7 @@ def test_a_plan_has_no_word_of_whiskers(planned: Path) -> None:
     assert f" {magnitude.unit} against " in text or not magnitude.unit
 
 
-@pytest.mark.parametrize("planned", slow_but(PLANS, (4,)), indirect=True)
+@pytest.mark.parametrize("planned", slow_but(PLANS, (2,)), indirect=True)
 def test_its_figures_can_be_read(planned: Path) -> None:
     plan = ww.read_plan(planned / "plan.json")
     for axes in (plots.planned_jnds(plan), plots.planned_psychometrics(plan),
@@ -82,6 +82,7 @@ def test_its_figures_can_be_read(planned: Path) -> None:
         assert "e+0" not in shown
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("planned", slow_but(PLANS, (2,)), indirect=True)
 def test_its_answers_are_analysed_in_its_unit(planned: Path, tmp_path: Path, capsys) -> None:
     """As a keyboard and as a table of choices has them."""
@@ -251,6 +252,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ww.design.Pla
     return folder / "plan.json", plan
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_trials_that_are_missing_are_said(
     small: tuple[Path, ww.design.Plan], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -290,6 +292,7 @@ def test_the_analysis_has_equality_and_jnd_in_the_unit_and_leaves_trials_out(
     assert 'PSE, the point of subjective equality: 50 % "second longer"' in said
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_next_analyse_and_fit_agree_on_one_session(
     small: tuple[Path, ww.design.Plan],
     tmp_path: Path,
@@ -326,6 +329,7 @@ def test_next_analyse_and_fit_agree_on_one_session(
 # -- power, beside whole experiments --------------------------------------------------------------
 
 
+@pytest.mark.slow  # rows of studies: test_rehearse.py
 @pytest.mark.parametrize("runs", [12, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("magnitude", "options"),

@@ -238,6 +238,7 @@ def test_goals_and_animals_that_make_no_sense_are_refused(
 # -- the size ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # of power by itself: test_power.py
 @pytest.mark.parametrize("runs", [24, pytest.param(48, marks=pytest.mark.slow)])
 def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
     """As few as reach it, even in number; the power of the plan says so, and half as many do not.

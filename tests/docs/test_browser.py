@@ -123,6 +123,7 @@ def _guessed(pages: ModuleType, file: str) -> dict[str, str]:
     return WHISKER | chosen | {"file": path, "scale": "linear"}
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("scale", slow_but(["linear", "whisker"], (0,)))
 def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: str) -> None:
     fields = _guessed(pages, "distance_tapered.csv") | {"scale": scale}
@@ -143,6 +144,7 @@ def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: 
     assert shown["figures"][0]["svg"].lstrip().startswith("<?xml")
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_page_of_fits_maps_columns_and_labels(pages: ModuleType, tmp_path: Path) -> None:
     table = pd.read_csv(DATA / "weights_three_standards.csv")
     said = table["choice"].map({1: "R", 0: "L"})
@@ -161,6 +163,7 @@ def test_the_page_of_fits_maps_columns_and_labels(pages: ModuleType, tmp_path: P
     assert "is not an answer" in refused["error"]
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_page_of_fits_takes_percent_correct_and_several_animals(
     pages: ModuleType, tmp_path: Path
 ) -> None:
@@ -168,10 +171,11 @@ def test_the_page_of_fits_takes_percent_correct_and_several_animals(
     assert fields["kind"] == "correct"
     assert "Weber fraction" in json.loads(pages.call("fit", json.dumps(fields)))["texts"][0]["body"]
     animals = pd.read_csv(DATA / "animals_six.csv")
-    animals[animals["subject"].isin(["s1", "s2"])].to_csv(tmp_path / "two.csv", index=False)
+    two = animals[animals["subject"].isin(["s1", "s2"])]
+    two.groupby("subject").head(90).to_csv(tmp_path / "two.csv", index=False)
     fields = _guessed(pages, str(tmp_path / "two.csv"))
     one = json.loads(pages.call("fit", json.dumps(fields | {"of": "s2"})))
-    assert "270 trials" in one["texts"][0]["body"]
+    assert "90 trials" in one["texts"][0]["body"]
     together = json.loads(pages.call("fit", json.dumps(fields)))
     assert [row[0] for row in together["tables"][1]["rows"]] == ["s1", "s2"]
 

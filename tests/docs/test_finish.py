@@ -80,7 +80,7 @@ def planned(
     return folder, plan, answer, direct
 
 
-@pytest.mark.parametrize("rig", slow_but(["psychopy", "bpod's own", "bpod", "own"], (1,)))
+@pytest.mark.parametrize("rig", slow_but(["psychopy", "bpod's own", "bpod", "own"], (0, 1, 2)))
 def test_a_plan_is_analysed_on_a_rigs_own_table(
     planned: tuple[Path, Plan, pd.Series, AnalysisResult],
     rig: str,
@@ -107,6 +107,10 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
     data = tmp_path / ("data.mat" if rig == "bpod's own" else "data.csv")
     if data.suffix == ".csv":
         table.to_csv(data, index=False)
+    answers = rig_trials([data], plan).frame["count"]
+    assert answers.tolist() == (answer - 1).tolist()
+    if rig != "own":
+        return
     assert run_app(app, ["analyse", str(folder / "plan.json"), str(data), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert not direct.left_out
@@ -115,6 +119,7 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
         assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_analysis_of_a_plan_is_written(
     planned: tuple[Path, Plan, pd.Series, AnalysisResult], tmp_path: Path
 ) -> None:
@@ -146,6 +151,7 @@ def test_a_table_without_an_answer_is_refused(
     assert "'3' is no answer; write left, 1 where" in said
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_every_answer_of_every_table_is_analysed_or_refused(
     planned: tuple[Path, Plan, pd.Series, AnalysisResult], tmp_path: Path
 ) -> None:

@@ -54,6 +54,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow  # of ensembles by themselves: tests/util/test_ensemble.py
 @pytest.mark.parametrize("case", slow_but(CASES, (2,)))
 def test_no_wrong_sd_is_called_converged(case):
     observer, contact = CASES[case]

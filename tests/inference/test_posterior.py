@@ -98,6 +98,7 @@ def grid_truth(observer, reading):
     return mean, np.sqrt(np.einsum("rt,rtu->u", density, (contact - mean) ** 2))
 
 
+@pytest.mark.slow  # to 2e-3, of many contacts: test_tree.py
 @pytest.mark.parametrize(
     ("k", "fraction", "degrees"),
     [

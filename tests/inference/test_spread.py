@@ -94,6 +94,7 @@ def test_two_workers_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None
     same(numbers(ww.posterior(observer, y, workers=2)), numbers(alone))
 
 
+@pytest.mark.slow
 def test_layers_are_spread_by_chunks_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quadrature, "LAYERED", 1)
     observer = ww.Observer(W, cues.UnknownStiffness(cues.ForceMap()))

@@ -68,6 +68,7 @@ def test_a_third_unknown_that_is_known_changes_nothing(method):
     assert q.sd == pytest.approx(p.sd, rel=0.15 if method == "emcee" else 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "cue", slow_but([UnknownStiffness(ForceMap()), SpaceMap()], (0,)), ids=repr
 )

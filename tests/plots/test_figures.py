@@ -158,7 +158,7 @@ def test_svg_files_are_repeatable(fit: ww.behaviour.WeberFit, tmp_path: Path) ->
 @pytest.fixture(scope="module")
 def population() -> ww.behaviour.PopulationFit:
     trials, _ = ww.simulate_population(3, trials_per_level=6, spread=0.8, seed=2)
-    return ww.fit_population(trials)
+    return ww.fit_population(trials, bias="none")
 
 
 def test_names_that_no_font_shows_are_drawn(
@@ -194,7 +194,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
     lines = ww.press(WHISKER, [[20e-3], [30e-3], [40e-3]], np.linspace(0.01, 0.5, 30))
     b = ww.press(WHISKER, contacts[:, 0], contacts[:, 1])
     table = pd.DataFrame({"moment_uNm": b.moment * 1e6, "axial_force_uN": b.axial_force * 1e6})
-    plan = ww.plan_experiment("C2", standards=[10e-3, 20e-3, 30e-3], trials=10, runs=16)
+    plan = ww.plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=16)
     scheme, hypotheses = plan.scheme, plan.hypotheses
     placer = design.BayesianPlacer(hypotheses[0], scheme, seed=1)
     for i in range(12):
@@ -221,7 +221,7 @@ def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) ->
     )  # fmt: skip
     answers, _ = ww.simulate_population(2, standards=[0.015, 0.025], trials_per_level=6, seed=1)
     return {
-        "analysed": design.analyse(answers, hypotheses).plot(),
+        "analysed": design.analyse(answers, hypotheses[:1]).plot(),
         "bending": plots.bending(lines),
         "calibrated": plots.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": plots.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]

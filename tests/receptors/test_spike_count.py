@@ -142,6 +142,7 @@ def test_quadrature_agrees_with_brute_force(noise):
     assert np.all(np.abs(found.sd / sd - 1) < 2e-3)
 
 
+@pytest.mark.slow  # the posterior of counts: tests/inference/test_tree.py
 def test_the_posterior_is_that_of_webers_law_with_the_effective_k():
     """On a cylinder M ∝ 1/r: ln r is known as well as ln M."""
     w = W.cylinder()

@@ -178,14 +178,14 @@ def test_points_of_named_whiskers_are_selected_by_name(
 ) -> None:
     """In Python and by --label, as the note says; a name that is not there is refused."""
     whisker = ww.Whisker.from_identity("C2", curved=True)
-    video, _ = simulate_tracking(whisker, 15e-3, frames=30, spacing_px=40.0, missing=0.0)
+    video, _ = simulate_tracking(whisker, 15e-3, frames=12, spacing_px=40.0, missing=0.0)
     points = video[["frame", "x", "y"]].explode(["x", "y"])
     both = pd.concat(
         [points.assign(y=points["y"] + 300, whisker="D1"), points.assign(whisker="C2")]
     )
     both.to_csv(tmp_path / "a.csv", index=False)
     found = ww.read_tracking(tmp_path / "a.csv", pixels_per_mm=20, frame_rate=500)
-    assert found["name"].tolist() == ["D1", "C2"] * 30
+    assert found["name"].tolist() == ["D1", "C2"] * 12
     with pytest.raises(ValueError, match="identity='D1'"):
         ww.tracked_signals(found, whisker)
     one = ww.tracked_signals(found, whisker, identity="C2")
@@ -199,7 +199,7 @@ def test_points_of_named_whiskers_are_selected_by_name(
     assert "--label D1" in capsys.readouterr().err
     assert run_app(app, [*words, "--label", "C2", "--likelihood", "0", "--json"]) in (0, None)
     answer = json.loads(capsys.readouterr().out)
-    assert [row["frame"] for row in answer["rows"]] == list(range(30))
+    assert [row["frame"] for row in answer["rows"]] == list(range(12))
     assert any("The file names 'D1', 'C2': --label D1 takes one" in n for n in answer["notes"]) or (
         any("identity='D1'" in n for n in answer["notes"])
     )

@@ -182,6 +182,7 @@ def test_the_density_of_taps_is_that_by_hand() -> None:
     assert (gross >= 0.9).nonzero()[0].tolist() == [5, 18, 19]
 
 
+@pytest.mark.slow  # a gross slope: `test_a_gross_slope_does_not_spoil_its_touch`
 @pytest.mark.parametrize("off", [9 * 0.027, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_two_gross_taps_of_two_hundred_are_named_and_spoil_nothing(off: float) -> None:
     rng = np.random.default_rng(7)
@@ -261,14 +262,14 @@ def test_columns_of_distance_and_slope_by_any_name(
     from weberwhisk.cli import run_app
 
     taps = _taps(each=3)
-    plain = ww.calibrate(taps, NOMINAL).parameters
+    plain = ww.calibrate(taps, NOMINAL, draws=1000).parameters
     names = {"radial_distance": "Abstand", "moment_rate": "Steigung"}
     own = taps.set_axis([*names.values()], axis=1)
     table = own.assign(Abstand=0.1 * own["Abstand"])
-    found = ww.calibrate(table, NOMINAL, columns=names, units={"radial_distance": "cm"})
+    found = ww.calibrate(table, NOMINAL, draws=1000, columns=names, units={"radial_distance": "cm"})
     pd.testing.assert_frame_equal(found.parameters, plain)
     table = own.assign(Abstand=1e-3 * own["Abstand"]).rename(columns={"Abstand": "d [m]"})
-    found = ww.calibrate(table, NOMINAL, columns=names | {"radial_distance": "d [m]"})
+    found = ww.calibrate(table, NOMINAL, draws=1000, columns=names | {"radial_distance": "d [m]"})
     pd.testing.assert_frame_equal(found.parameters, plain)
     with pytest.raises(ValueError, match=r"in metres: write units=\{'radial_distance': 'mm'\}"):
         ww.calibrate(own, NOMINAL, columns=names)

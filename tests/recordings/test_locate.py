@@ -576,13 +576,13 @@ def test_workers_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, noise: floa
     monkeypatch.setattr(mixture, "BLOCK", 4)
     film, done = _film(8), []
     given: dict[str, Any] = {"touch": "touch", "noise": noise}
-    here = ww.locate(film, C2, **given, progress=lambda *at: done.append(at))
+    here = ww.locate(film, KNOWN, **given, progress=lambda *at: done.append(at))
     assert done == sorted(done)
-    there = ww.locate(film, C2, **given, workers=2)
+    there = ww.locate(film, KNOWN, **given, workers=2)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     if noise is None:
         assert done[-1] == (16, 16)
-        there = ww.locate(film, C2, **given, workers=1)
+        there = ww.locate(film, KNOWN, **given, workers=1)
         pd.testing.assert_frame_equal(here, there, check_exact=True)
     with pytest.raises(ValueError, match="workers"):
         ww.locate(film, C2, workers=0)

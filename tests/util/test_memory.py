@@ -72,6 +72,7 @@ def test_many_scenes(what: str) -> None:
     check(what, 100_000)
 
 
+@pytest.mark.slow
 def test_many_trials() -> None:
     """The checks of a report took 16 kB a trial."""
     check("trials", 20_000)

@@ -76,6 +76,7 @@ def test_a_cluster_gives_the_same_bits(cluster: str) -> None:
     same(run(campaign_work.draw, CHUNKS, seed=7, scheduler=cluster), alone)
 
 
+@pytest.mark.slow
 def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> None:
     chunks = logged(tmp_path, 9, mended=str(tmp_path / "mended"))
     with pytest.raises(CampaignError, match=r"chunk 4 .* failed: ZeroDivisionError: by nothing"):

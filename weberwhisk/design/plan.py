@@ -254,10 +254,12 @@ def analyse(
     Examples
     --------
     >>> from weberwhisk import Whisker, simulate_trials
+    >>> from weberwhisk.behaviour import Priors
     >>> from weberwhisk.design import taper
-    >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
+    >>> lapses = Priors(lapse_low=0.02, lapse_high=0.02)
+    >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6), priors=lapses)
     >>> trials = simulate_trials(encoding=tapered.encoding, standards=[15e-3, 45e-3],
-    ...     offsets=[-0.08, 0.08], trials_per_level=90, subject="s1", seed=2)
+    ...     offsets=[-0.1, -0.05, 0.05, 0.1], trials_per_level=60, subject="s1", seed=2)
     >>> analyse(trials, [tapered, cylindrical]).favoured(10)
     'tapered'
     """

@@ -117,9 +117,9 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     Examples
     --------
     >>> from weberwhisk import plan_experiment
-    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
+    >>> plan = plan_experiment("C2", standards=[20e-3], levels=[-1, 1], trials=10, runs=0)
     >>> planned_psychometrics(plan).shape
-    (2,)
+    (1,)
     """
     standards, of = plan.scheme.standards, plan.magnitude
     if axes is None:
@@ -335,7 +335,7 @@ def plan_page(plan: Plan) -> str:
     Examples
     --------
     >>> from weberwhisk import plan_experiment
-    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
+    >>> plan = plan_experiment("C2", standards=[20e-3], levels=[-1, 1], trials=10, runs=0)
     >>> plan_page(plan).startswith("<!DOCTYPE html>")
     True
     """
@@ -433,7 +433,7 @@ def write_plan(
     --------
     >>> from tempfile import TemporaryDirectory
     >>> from weberwhisk import plan_experiment
-    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
+    >>> plan = plan_experiment("C2", standards=[20e-3], levels=[-1, 1], trials=10, runs=0)
     >>> with TemporaryDirectory() as folder:
     ...     sorted(path.name for path in write_plan(plan, folder).glob("p*.csv"))
     ['planned_jnds.csv', 'planned_levels.csv', 'psychopy_s1_001.csv']
