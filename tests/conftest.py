@@ -33,7 +33,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Which tests run: without `-m` and names of tests the quick ones, of what is named all.
 
-    But for the full-length forms, which `-m slow` runs.
+    But for the slow ones, which `-m slow` runs.
     """
     config.option.loadscopereorder = False  # xdist's: files of many tests first, however short
     if config.option.measure:

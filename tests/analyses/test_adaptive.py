@@ -10,6 +10,7 @@ from analysis_scripts import load
 adaptive = load("adaptive")
 
 
+@pytest.mark.slow  # placement by itself: tests/design/test_placement.py
 def test_the_short_form_writes_what_it_says_and_resumes(tmp_path: Path) -> None:
     first = adaptive.make(tmp_path, short=True)
     again = adaptive.make(tmp_path, short=True)

@@ -25,13 +25,16 @@ def test_p_is_uniform_where_ranks_are_and_small_where_they_are_not() -> None:
 
 @pytest.mark.parametrize(
     ("name", "n"),
-    [
-        ("vibrissa length (a)", 300),
-        ("vibration with phase (d)", 300),
-        ("compliance (e)", 300),
-        ("balance, effort known (h)", 100),
-        pytest.param("balance, effort known (h)", 300, marks=pytest.mark.slow),
-    ],
+    slow_but(
+        [
+            ("vibrissa length (a)", 300),
+            ("vibration with phase (d)", 300),
+            ("compliance (e)", 300),
+            ("balance, effort known (h)", 100),
+            ("balance, effort known (h)", 300),
+        ],
+        (0, 1),
+    ),
 )
 def test_one_unknown(name: str, n: int) -> None:
     ranks, flagged = calibration.posterior_ranks(calibration.CUES[name], n, seed=11)
@@ -41,11 +44,14 @@ def test_one_unknown(name: str, n: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "method", "n"),
-    [
-        ("force map (f)", "quadrature", 30),
-        ("compliance, velocity felt (e)", "quadrature", 100),
-        ("compliance (e)", "emcee", 50),
-    ],
+    slow_but(
+        [
+            ("force map (f)", "quadrature", 30),
+            ("compliance, velocity felt (e)", "quadrature", 100),
+            ("compliance (e)", "emcee", 50),
+        ],
+        (0,),
+    ),
 )
 def test_engines(name: str, method: str, n: int) -> None:
     ranks, flagged = calibration.posterior_ranks(calibration.CUES[name], n, method, seed=12)

@@ -25,6 +25,7 @@ def table(tmp_path_factory):
     return made
 
 
+@pytest.mark.slow
 def test_every_scene_has_its_models_and_referees(table):
     assert len(set(table["scene"])) == 7
     rows = table.groupby("scene")["method"].nunique()
@@ -33,6 +34,7 @@ def test_every_scene_has_its_models_and_referees(table):
     assert len(referees.summary(table).splitlines()) == 2 + len(table.groupby(["given", "method"]))
 
 
+@pytest.mark.slow
 def test_models_of_large_angles_meet_the_truth(table):
     """Near the fold a contact's signals go as the square root of its distance from it."""
     models = table[table["method"].isin(["elastica", "planar beam", "rod"])]
@@ -40,6 +42,7 @@ def test_models_of_large_angles_meet_the_truth(table):
     assert (models.loc[models["given"] == "contact", ERRORS] < 1e-9).all(axis=None)
 
 
+@pytest.mark.slow
 def test_the_closed_form_is_off_by_what_its_scenes_say(table):
     closed_form = table[(table["method"] == "closed form") & (table["given"] == "contact")]
     found = closed_form["error_moment"].to_numpy()
@@ -47,6 +50,7 @@ def test_the_closed_form_is_off_by_what_its_scenes_say(table):
     assert np.all(np.diff(found[:4]) > 0)
 
 
+@pytest.mark.slow
 def test_the_truth_is_that_of_the_elliptic_integrals_and_of_scipy(table):
     exact = table[table["method"] == "elliptic integrals"]
     assert len(exact) == 2

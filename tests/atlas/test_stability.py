@@ -128,6 +128,7 @@ def test_the_search_can_find_out_of_the_plane() -> None:
     assert fate.tolist() == [fault_search.Fate.SILENT] * 3 + [fault_search.Fate.RIGHT]
 
 
+@pytest.mark.slow  # each against the package: the searches
 def test_the_two_referees_agree_in_the_plane() -> None:
     """One follows the whisker from the contact in its plane, the other from the base in space."""
     beam, rod_ = load("reference_beam"), load("reference_rod")

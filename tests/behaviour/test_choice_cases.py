@@ -27,6 +27,8 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.effects import History
 from weberwhisk.cli import app, run_app
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 LEVELS = np.array([0.8, 0.9, 0.95, 1.05, 1.1, 1.25])
 ORDERED = {"trend", "repetition", "outcome", "streaks"}
 
@@ -157,7 +159,6 @@ def test_an_equal_pair_in_the_first_row_is_of_the_same_standard() -> None:
         weber_law_test(fit_weber(first))
 
 
-@pytest.mark.usefixtures("few_draws")
 def test_five_standards_with_two_comparisons_each_are_five(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -220,7 +221,6 @@ def test_without_a_standard_nothing_is_concluded_that_needs_one() -> None:
 # -- order and people -----------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     "by", slow_but([["stimulus_1"], ["stimulus_1", "stimulus_2", "choice"]], (0,))
 )
@@ -321,7 +321,6 @@ def test_the_index_of_a_table_is_read() -> None:
     assert read_trials(made).subjects == ["a", "b"]
 
 
-@pytest.mark.usefixtures("few_draws")
 def test_a_session_named_like_a_range_is_a_session(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 from scipy.special import ndtr
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.behaviour import FitStatus, WeberFit, effects, fit_weber, prior_sensitivity
@@ -45,7 +46,7 @@ FITS: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.fixture(params=FITS)
+@pytest.fixture(params=slow_but(FITS, (0, 3)))
 def fit(request: pytest.FixtureRequest) -> WeberFit:
     made: WeberFit = FITS[request.param]()
     return made

@@ -20,6 +20,8 @@ from weberwhisk.behaviour.effects import EFFECTS
 from weberwhisk.behaviour.priors import belief_named
 from weberwhisk.cli import run_app
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 
 def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> None:
     scene = ["--radial-distance-mm", "10,40,60", "--draws", "20", "--seed", "4"]
@@ -149,7 +151,6 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     )
 
 
-@pytest.mark.usefixtures("few_draws")
 def test_fit_takes_some_trials_and_leaves_others_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -192,13 +193,12 @@ def test_fit_takes_some_trials_and_leaves_others_out(
     assert rest.follows.sum() < 6 + 1
 
 
-@pytest.mark.usefixtures("few_draws")
 def test_fit_takes_effects_the_law_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     design = ["--standard", "1,4", "--weber-fraction", "0.15", "--sessions", "2"]
-    answer(capsys, "simulate", *design, "--trials-per-level", "10", "--out", str(out))
+    answer(capsys, "simulate", *design, "--trials-per-level", "30", "--out", str(out))
     file = str(out / "trials.csv")
     plain = answer(capsys, "fit", file)
     found = answer(capsys, "fit", file, "--lapse-prior", "1,20", "--law", "--out", str(out))

@@ -61,7 +61,7 @@ def test_help_imports_no_mathematics() -> None:
                 {"pandas", "scipy", "scipy.stats"},
             ),
         ],
-        (0, 3),
+        (3,),
     ),
 )
 def test_an_answer_without_a_figure_imports_no_matplotlib(

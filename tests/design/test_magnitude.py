@@ -197,7 +197,7 @@ def test_a_scheme_and_a_hypothesis_are_of_one_magnitude() -> None:
                        Precision(0.2))  # fmt: skip
 
 
-@pytest.mark.parametrize("rival", ["constant", "exponent:0.5", "floor:30"])
+@pytest.mark.parametrize("rival", slow_but(["constant", "exponent:0.5", "floor:30"], (1,)))
 def test_a_rival_of_webers_law_is_planned_by_name(rival: str) -> None:
     """It comes back with its plan, and its noise is what its name says."""
     plan = ww.plan_experiment(magnitude="duration", standards=[300, 1200], rival=rival, trials=12,

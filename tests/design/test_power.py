@@ -213,6 +213,7 @@ def test_animals_share_a_population_as_fit_population_has_it():
     assert abs(factors[0] - factors[1]) < 0.3
 
 
+@pytest.mark.slow  # of populations: the test after
 def test_intervals_cover_what_the_prior_draws():
     """Rank statistics of draws from the prior: 95 % intervals hold 95 %, whatever the design."""
     scheme = design((0.3, 0.9), 10)

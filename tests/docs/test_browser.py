@@ -25,6 +25,8 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk.behaviour import CueEncoding
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 ROOT = Path(__file__).parents[2]
 BROWSER, DATA = ROOT / "docs" / "browser", ROOT / "data_synthetic"
 WHISKER = {"length_mm": "50", "base_radius_um": "100", "tip_radius_um": "5"}
@@ -123,7 +125,6 @@ def _guessed(pages: ModuleType, file: str) -> dict[str, str]:
     return WHISKER | chosen | {"file": path, "scale": "linear"}
 
 
-@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("scale", slow_but(["linear", "whisker"], (0,)))
 def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: str) -> None:
     fields = _guessed(pages, "distance_tapered.csv") | {"scale": scale}
@@ -144,7 +145,6 @@ def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: 
     assert shown["figures"][0]["svg"].lstrip().startswith("<?xml")
 
 
-@pytest.mark.usefixtures("few_draws")
 def test_the_page_of_fits_maps_columns_and_labels(pages: ModuleType, tmp_path: Path) -> None:
     table = pd.read_csv(DATA / "weights_three_standards.csv")
     said = table["choice"].map({1: "R", 0: "L"})
@@ -163,10 +163,11 @@ def test_the_page_of_fits_maps_columns_and_labels(pages: ModuleType, tmp_path: P
     assert "is not an answer" in refused["error"]
 
 
-@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_page_of_fits_takes_percent_correct_and_several_animals(
-    pages: ModuleType, tmp_path: Path
+    pages: ModuleType, tmp_path: Path, whole: bool
 ) -> None:
+    """Animals together in the whole form."""
     fields = _guessed(pages, "weights_percent_correct.csv")
     assert fields["kind"] == "correct"
     assert "Weber fraction" in json.loads(pages.call("fit", json.dumps(fields)))["texts"][0]["body"]
@@ -176,6 +177,8 @@ def test_the_page_of_fits_takes_percent_correct_and_several_animals(
     fields = _guessed(pages, str(tmp_path / "two.csv"))
     one = json.loads(pages.call("fit", json.dumps(fields | {"of": "s2"})))
     assert "90 trials" in one["texts"][0]["body"]
+    if not whole:
+        return
     together = json.loads(pages.call("fit", json.dumps(fields)))
     assert [row[0] for row in together["tables"][1]["rows"]] == ["s1", "s2"]
 

@@ -128,11 +128,12 @@ def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
             [-0.23246, -0.76139],
             marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             LogNormal(0.0041098),
             0.175032,
             [1.385e-2, 9.17e-2, 1.052],
             [-1.56, 2.343],
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["ridge tens of widths off", "ridge bent", "wide noise", "coarse"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import design, plots
+from weberwhisk.behaviour.quadrature import QuadraturePosterior
 from weberwhisk.sensitivity import linear_surface
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
@@ -184,8 +186,18 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def drawn(fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit) -> dict[str, Any]:
-    """Every figure of the package, of small tables."""
+def drawn(
+    fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit
+) -> Iterator[dict[str, Any]]:
+    """Every figure of the package, of small tables and few draws."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(QuadraturePosterior.__init__, "__defaults__", (0, 1000, 4))
+        yield every_figure(fit, population)
+
+
+def every_figure(
+    fit: ww.behaviour.WeberFit, population: ww.behaviour.PopulationFit
+) -> dict[str, Any]:
     tap, force_map = observer(), observer(ww.cues.ForceMap())
     moment_alone = ww.Observer(WHISKER, ww.cues.ForceMap(), ww.receptors.Weber([0.1, 1e-9]))
     contacts = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)

@@ -89,7 +89,8 @@ class WeberFit(Estimates):
         --------
         >>> from weberwhisk import fit_weber, simulate_trials
         >>> from weberwhisk.behaviour.effects import History
-        >>> fit = fit_weber(simulate_trials(effects=[(History(), 1.0)], seed=1))
+        >>> trials = simulate_trials(effects=[(History(), 1.5)], trials_per_level=12, seed=1)
+        >>> fit = fit_weber(trials)
         >>> fit.causes.index[0], bool(fit.causes["log_bayes_factor"].iloc[0] > 5)
         ('history', True)
         """
