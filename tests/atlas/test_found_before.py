@@ -205,7 +205,9 @@ def test_a_populations_weber_fraction_is_that_of_weighed_draws_whatever_its_laps
     case = zip(populations.AXES, numbers, strict=True)
     judged = populations.judge({name: np.array([value]) for name, value in case})
     assert judged.fate[0] in (fault_search.Fate.RIGHT, fault_search.Fate.WARNED)
-    assert judged.seen["of_weber_fraction"][0] < 0.05
+    # Ends of the reference err by 0.1 sd, and the fit's by 0.08 to 0.13 with one to eight times the
+    # draws of animals.
+    assert judged.seen["of_weber_fraction"][0] < 0.15
 
 
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:

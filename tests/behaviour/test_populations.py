@@ -193,7 +193,7 @@ def test_sound_people_have_no_misfit() -> None:
 
 
 def test_a_belief_that_moves_the_median_is_said() -> None:
-    trials = people(2, n=3, seed=2)
+    trials = people(2, n=3, seed=3)  # 0.38 to 0.51 sds by further draws; it is said from 0.3
     fit = fit_population(trials, check=False)
     assert fit.status is PopulationStatus.PRIOR_DEPENDENT
     worst = fit.prior_sensitivity["sds"].idxmax()

@@ -21,7 +21,7 @@ from .weights import systematic
 
 __all__ = [
     "Component", "SobolPoints", "WeightedDraws", "adapted_draws", "fitted_components",
-    "mixture_log_density", "weighted_draws",
+    "mixture_log_density", "tempered_components", "weighted_draws",
 ]  # fmt: skip
 
 LogDensity = Callable[[Array], Array]
@@ -189,7 +189,7 @@ def adapted_draws(
         draws = weighted_draws(log_density, mixture, 2 * size, points)
         if draws.effective >= effective:
             return draws
-        mixture = fitted_components(draws.tempered(_power(draws, size / 4)), tails)
+        mixture = tempered_components(draws, size / 4, tails)
     else:
         mixture = [Component(mean, np.diag(sd**2))]
     for _ in range(30):
@@ -206,6 +206,12 @@ def adapted_draws(
         count = int(np.clip(1.3 * count * effective / draws.effective, count, most))
         mixture = fitted_components(draws, tails)
     return draws
+
+
+def tempered_components(draws: WeightedDraws, least: float, tails: bool = False) -> list[Component]:
+    """Components fitted to the draws, their weights taken to the power under which they are worth
+    `least` independent ones."""
+    return fitted_components(draws.tempered(_power(draws, least)), tails)
 
 
 def _power(draws: WeightedDraws, least: float) -> float:

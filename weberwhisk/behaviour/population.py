@@ -26,6 +26,7 @@ from .._util.importance import (
     adapted_draws,
     fitted_components,
     mixture_log_density,
+    tempered_components,
     weighted_draws,
 )
 from .._util.values import Array, Index, weighted_quantiles
@@ -35,9 +36,11 @@ __all__ = ["AnimalDraws", "Population", "integrate_population"]
 
 FIRST = 400  # draws of an animal of which nothing is known
 ALIKE = 16  # such animals from which others are begun
-#: Draws of all animals in populations that are roughly known, and of one: at the least, over the
-#: square of its number of parameters at the most, once more are needed, and for what is read off.
-DRAWS, FEWEST, BY_DIMENSION, MOST_OF_ONE, OWN = 64_000, 256, 32, 8192.0, 1024
+#: Draws of all animals in populations that are roughly known, at the most and at the least, and of
+#: one: at the least, over the square of its number of parameters at the most, once more are needed,
+#: and for what is read off.
+DRAWS, ALL = 64_000, 8192
+FEWEST, BY_DIMENSION, MOST_OF_ONE, OWN = 256, 32, 8192.0, 1024
 LIKELY = 16  # populations for which an animal is drawn at once
 #: Rounds, in each of which animals whose draws are too few get more, and how many of them also
 #: where halves of the draws agree in means, but not in likelihood.
@@ -345,18 +348,25 @@ def integrate_population(
     hierarchy = hierarchy.blurred(_blur(drawn, hierarchy))
     draws = _populations(hierarchy, [_Roughly(one) for one in drawn], points, (), PASS / 4)
     most = BY_DIMENSION * np.array([animal.at.size for animal in animals]) ** 2
-    count = np.clip(np.minimum(most, DRAWS / len(animals)), FEWEST, MOST_OF_ONE)
+    least = max(FEWEST, ALL / len(animals))
+    count = np.clip(np.minimum(most, DRAWS / len(animals)), least, MOST_OF_ONE)
     again = np.ones(len(animals), dtype=bool)
     for number in range(1 if quick else ROUNDS):
         likely = _likely(hierarchy, draws, number)
         for i in np.flatnonzero(again):
             drawn[i] = _redrawn(animals[i], drawn[i], likely, int(count[i]), (number, int(i)))
+        if not number:  # sites are of likely populations now, and as good as free
+            rough, mixture = [_Roughly(one) for one in drawn], fitted_components(draws)
+            draws = _populations(hierarchy, rough, points, mixture, PASS / 4)
         draws = _populations(hierarchy, drawn, points, fitted_components(draws), PASS / 10)
-        error, noise = _errors(hierarchy, drawn, draws)
-        share = noise * np.sqrt(len(animals)) / NOISE  # of what each may have
+        error, of_means, of_evidence = _errors(hierarchy, drawn, draws)
+        # As shares of what each of so many animals may add.
+        of_means *= np.sqrt(len(animals)) / TOLERANCE
+        of_evidence *= np.sqrt(len(animals)) / NOISE
         # Where means are right, their evidence is not worth ten times the draws.
-        if error < TOLERANCE and (number >= LATE or np.mean(share**2) < 1):
+        if error < TOLERANCE and (number >= LATE or np.mean(of_evidence**2) < 1):
             break
+        share = of_means if number >= LATE else np.maximum(of_means, of_evidence)
         again = share >= min(1.0, float(np.quantile(share, 0.8)))
         count[again] *= np.clip(share[again] ** 2, 2, 8)
         count = np.minimum(count, MOST_OF_ONE)
@@ -400,14 +410,32 @@ def _redrawn(
     """
     means, sds = likely.mean[:, animal.at], likely.sd[:, animal.at]
     mean, sd = means.mean(axis=0), np.sqrt((sds**2).mean(axis=0))
-    site = Site.of(before.coordinates, before.weights(mean, sd), mean, sd)
+    known = _acquainted(animal, before.posterior(mean, sd), mean, sd, seed)
+    site = Site.of(known.values, known.weights, mean, sd)
     mixture = [site.given(*one) for one in zip(means, sds, strict=True)]
-    mixture += fitted_components(before.posterior(mean, sd))
+    mixture += fitted_components(known)
     drawn = AnimalDraws.of_mixture(animal, mixture, count, site, seed)
     if before.mixtures:
         drawn = before.joined(drawn)
     site = Site.of(drawn.coordinates, drawn.weights(mean, sd), mean, sd)
     return replace(drawn, site=site)
+
+
+def _acquainted(
+    animal: Animal, draws: WeightedDraws, mean: Array, sd: Array, seed: Sequence[int]
+) -> WeightedDraws:
+    """Draws of an animal in one population (E,): those given, unless they are worth too few."""
+    if draws.effective >= FIRST / 4:
+        return draws
+
+    def log_density(x: Array) -> Array:
+        return animal.log_likelihood(x) - 0.5 * (((x - mean) / sd) ** 2).sum(axis=1)
+
+    return adapted_draws(
+        log_density, mean, sd, SobolPoints(sd.size + 1, np.random.default_rng(seed)),
+        effective=FIRST / 2, most=4 * FIRST, size=FIRST,
+        mixture=tempered_components(draws, FIRST / 4),
+    )  # fmt: skip
 
 
 def _unacquainted(animals: Sequence[Animal], vague: Normals) -> list[AnimalDraws]:
@@ -476,18 +504,18 @@ def _average(halves: Array) -> Array:
 
 def _errors(
     hierarchy: Hierarchy, animals: Sequence[AnimalDraws], draws: WeightedDraws
-) -> tuple[float, Array]:
+) -> tuple[float, Array, Array]:
     """What halves of the animals' draws differ by: half of how far the means of populations are
-    apart, in posterior sds, in the root mean square of all parameters; and the sd of the difference
-    in log-likelihood of each animal, (A,)."""
+    apart, in posterior sds, in the root mean square of all parameters; what each animal adds to
+    that, about, and the sd of the difference in its log-likelihood, (A,) both."""
     scores = draws.resampled(1000, np.random.default_rng(0))
-    normals, total, by_animal = hierarchy.normals(scores), np.zeros((2, len(scores))), []
-    for animal in animals:
-        halves = animal.log_likelihood(normals)
-        total += halves
-        by_animal.append(float((halves[0] - halves[1]).std()))
-    log_weight = total - total.mean(axis=0)
+    normals, sd = hierarchy.normals(scores), scores.std(axis=0)
+    halves = np.stack([animal.log_likelihood(normals) for animal in animals])
+    log_weight = halves.sum(axis=0)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     means = (weight @ scores) / weight.sum(axis=1, keepdims=True)
-    difference = (means[0] - means[1]) / scores.std(axis=0)
-    return float(np.sqrt(np.mean(difference**2))) / 2, np.array(by_animal)
+    error = float(np.sqrt(np.mean(((means[0] - means[1]) / sd) ** 2))) / 2
+    differ = halves[:, 0] - halves[:, 1]
+    differ -= differ.mean(axis=1, keepdims=True)
+    pull = differ @ ((scores - scores.mean(axis=0)) / sd) / len(scores)
+    return error, np.sqrt(np.mean(pull**2, axis=1)) / 2, differ.std(axis=1)
