@@ -356,8 +356,8 @@ def integrate_population(
         for i in np.flatnonzero(again):
             drawn[i] = _redrawn(animals[i], drawn[i], likely, int(count[i]), (number, int(i)))
         if not number:  # sites are of likely populations now, and as good as free
-            rough, mixture = [_Roughly(one) for one in drawn], fitted_components(draws)
-            draws = _populations(hierarchy, rough, points, mixture, PASS / 4)
+            by_sites, mixture = [_Roughly(one) for one in drawn], fitted_components(draws)
+            draws = _populations(hierarchy, by_sites, points, mixture, PASS / 4)
         draws = _populations(hierarchy, drawn, points, fitted_components(draws), PASS / 10)
         error, of_means, of_evidence = _errors(hierarchy, drawn, draws)
         # As shares of what each of so many animals may add.

@@ -362,6 +362,13 @@ def fit_population(
     ValueError
         Where the table has no subjects.
 
+    Notes
+    -----
+    Two to sixteen animals of 5 to 20 trials each, whose biases are wide, leave a long tail of small
+    Weber fractions, since a large bias explains the same answers. Draws do not reach its end: the
+    lower end of the median's interval was 0.1 to 1.6 posterior sds too high in ten such populations
+    beside brute force, the middle and the upper end right to 0.2. All ten are PRIOR_DEPENDENT.
+
     Examples
     --------
     >>> from weberwhisk.behaviour import simulate_population
