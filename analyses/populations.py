@@ -1,17 +1,20 @@
 """Are populations right, and how quick are they?
 
-Three parts, each a table of `populations.md`:
+Four parts, each a table of `populations.md`:
 
 - `coverage`: how often the interval of a population's median Weber fraction holds it, and how far
   medians are off, where lapses are rare, usual and frequent (40 people with 200 trials each, ten
   comparisons, ln k normal with a spread of 0.35). The same with each person's lapses believed to be
   about 3 %, whatever the others do, is what was done before.
+- `law`: whether populations in which noise grows as the stimulus to the power 1.5 are told from
+  those of Weber's law, and the exponent's interval (64 people, 216 trials each, three standards an
+  octave apart).
 - `speed`: CPU seconds and memory, of the 64 people of Barretto-Garcia et al. (2023) as they come
   with the package, and of simulated ones.
 - `bauer`: the same people's population beside that of bauer (github.com/ruffgroup/bauer), by NUTS.
 
 ``python analyses/populations.py`` makes all of it; `--short` makes few of each and keeps nothing.
-`populations.csv` has a row a population, and is resumed.
+`populations.csv` and `populations_law.csv` have a row a population, and are resumed.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 import weberwhisk as ww
-from weberwhisk.behaviour.effects import Contraction, NoiseByOrder
+from weberwhisk.behaviour.effects import Contraction, Exponent, NoiseByOrder
 
 HERE = Path(__file__).parent
 LAPSES = (0.005, 0.02, 0.05)
@@ -95,6 +98,39 @@ def coverage(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(out)
 
 
+def against_law(seed: int) -> dict[str, Any]:
+    """One population of exponent 1.5: the evidence for an exponent, and its interval."""
+    rng = np.random.default_rng(seed)
+    k = TRUTH * np.exp(SPREAD * rng.normal(size=64))
+    pairs = np.array([(s, s * c) for s in (1.0, 2.0, 4.0) for c in (0.6, 0.8, 0.9, 1.1, 1.2, 1.4)])
+    sd = pairs**1.5 / np.sqrt(np.exp(np.log(pairs).mean()))
+    d = (pairs[:, 1] - pairs[:, 0]) / np.hypot(*sd.T)
+    p = 0.02 + 0.96 * ndtr(d / k[:, None] + 0.2 * rng.normal(size=(64, 1)))
+    trials = ww.read_trials(pd.DataFrame({
+        "subject": np.repeat(np.arange(64), len(pairs)), "standard": np.tile(pairs[:, 0], 64),
+        "comparison": np.tile(pairs[:, 1], 64), "n": 12, "n_greater": rng.binomial(12, p).ravel(),
+    }))  # fmt: skip
+    plain = ww.fit_population(trials, check=False)
+    with_it = ww.fit_population(trials, check=False, effects=[Exponent()])
+    low, middle, high = with_it.quantile("exponent", [0.025, 0.5, 0.975])
+    return {
+        "seed": seed, "log_bayes_factor": with_it.log_evidence - plain.log_evidence,
+        "lower": low, "exponent": middle, "upper": high, "status": with_it.status.name,
+    }  # fmt: skip
+
+
+def law(rows: pd.DataFrame) -> pd.DataFrame:
+    """In one row; evidence is decisive from ln 100."""
+    factor = rows["log_bayes_factor"]
+    held = (rows["lower"] < 1.5) & (rows["upper"] > 1.5)
+    return pd.DataFrame([{
+        "populations": len(rows), "decisive evidence for an exponent": int((factor > 4.6).sum()),
+        "least log Bayes factor": f"{factor.min():.0f}", "hold 1.5": int(held.sum()),
+        "exponents": f"{rows['exponent'].min():.2f} to {rows['exponent'].max():.2f}",
+        "DETERMINED with it": int((rows["status"] == "DETERMINED").sum()),
+    }])  # fmt: skip
+
+
 def numerosity() -> ww.Trials:
     """The 64 people."""
     return ww.read_trials(Path(ww.__file__).parent / "data" / "numrisk_2afc.csv.gz")
@@ -141,7 +177,7 @@ def table(rows: pd.DataFrame) -> str:
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def page(rows: pd.DataFrame, times: list[dict[str, Any]]) -> str:
+def page(rows: pd.DataFrame, of_law: pd.DataFrame, times: list[dict[str, Any]]) -> str:
     """`populations.md`."""
     speed = pd.DataFrame([{k: v for k, v in one.items() if k != "said"} for one in times])
     ours = {one["what"]: one["said"] for one in times}
@@ -157,6 +193,10 @@ def page(rows: pd.DataFrame, times: list[dict[str, Any]]) -> str:
 ## Coverage
 
 {table(coverage(rows))}
+
+## Weber's law
+
+{table(law(of_law))}
 
 ## Speed
 
@@ -174,29 +214,45 @@ rate, here there is one at either end. Its spreads have priors of their own.
 """
 
 
+def resumed(
+    path: Path, one: Callable[..., dict[str, Any]], designs: list[tuple[Any, ...]], keep: bool
+) -> pd.DataFrame:
+    """A row a design, by `one`: those that the file has, and those that are made now."""
+    rows = pd.read_csv(path).to_dict("records") if path.exists() and keep else []
+    done = {tuple(row[name] for name in ("lapse", "seed") if name in row) for row in rows}
+    for design in designs:
+        if design not in done:
+            rows.append(one(*design))  # type: ignore[arg-type]
+            if keep:
+                pd.DataFrame(rows).to_csv(path, index=False, float_format="%.5g")
+    return pd.DataFrame(rows)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--short", action="store_true")
     parser.add_argument("--populations", type=int, default=20)
-    parser.add_argument("--only", choices=("coverage", "speed"))
+    parser.add_argument("--only", choices=("coverage", "law", "speed"))
     parser.add_argument("--time", choices=TIMED, help="print one line of JSON of this alone")
     parser.add_argument("--out", type=Path, default=HERE)
     options = parser.parse_args(arguments)
     if options.time:
         print(json.dumps(timed(options.time)))
         return
-    path = options.out / "populations.csv"
-    rows = pd.read_csv(path) if path.exists() and not options.short else pd.DataFrame()
-    done = {*map(tuple, rows[["lapse", "seed"]].to_numpy())} if len(rows) else set()
-    for seed in range(1 if options.short else options.populations):
-        for lapse in LAPSES:
-            if options.only == "speed" or (lapse, seed) in done:
-                continue
-            rows = pd.concat([rows, pd.DataFrame([covered(lapse, seed)])], ignore_index=True)
-            if not options.short:
-                rows.to_csv(path, index=False, float_format="%.5g")
-    print(coverage(rows).to_string(index=False))
-    if options.only == "coverage":
+    seeds = range(1 if options.short else options.populations)
+    designs = {"coverage": [(lapse, seed) for seed in seeds for lapse in LAPSES],
+               "law": [(seed,) for seed in seeds]}  # fmt: skip
+    made = {
+        name: resumed(
+            options.out / f"populations{'_law' * (name == 'law')}.csv", one,
+            designs[name] if options.only in (None, name) else [], keep=not options.short,
+        )
+        for name, one in (("coverage", covered), ("law", against_law))
+    }  # fmt: skip
+    for name, summarised in (("coverage", coverage), ("law", law)):
+        if len(made[name]):
+            print(summarised(made[name]).to_string(index=False))
+    if options.only in designs:
         return
     times = []
     for name in list(TIMED)[:1] if options.short else TIMED:
@@ -204,11 +260,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         times.append(json.loads(said.splitlines()[-1]))
         print(times[-1])
-    made = page(rows, times)
+    text = page(made["coverage"], made["law"], times)
     if options.short:
-        print(made)
+        print(text)
     else:
-        (options.out / "populations.md").write_text(made)
+        (options.out / "populations.md").write_text(text)
 
 
 if __name__ == "__main__":
