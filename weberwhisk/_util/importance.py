@@ -148,7 +148,8 @@ def mixture_log_density(mixture: Sequence[Component], values: Array, df: float =
         away = np.linalg.inv(root) @ (values - one.centre).T
         each[i] = norm - np.log(np.diag(root)).sum()
         each[i] -= 0.5 * (df + dim) * np.log1p(np.square(away).sum(axis=0) / df)
-    return np.asarray(logsumexp(each, axis=0) - np.log(len(mixture)))
+    most = each.max(axis=0)  # SciPy's logsumexp would add a half to it all
+    return np.asarray(most + np.log(np.exp(each - most).sum(axis=0)) - np.log(len(mixture)))
 
 
 def adapted_draws(

@@ -498,7 +498,7 @@ def _populations(
 def _average(halves: Array) -> Array:
     """ln of the mean of likelihoods by halves of the draws (n, M), as if draws were endless: the
     logarithm of a mean is too low by as much again as it is above the mean logarithm of halves."""
-    whole = logsumexp(halves, axis=0) - np.log(len(halves))
+    whole = np.logaddexp.reduce(halves, axis=0) - np.log(len(halves))
     return np.asarray(whole + np.minimum(whole - halves.mean(axis=0), 0.3))
 
 
