@@ -229,7 +229,9 @@ def resumed(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--short", action="store_true")
     parser.add_argument("--populations", type=int, default=20)
     parser.add_argument("--only", choices=("coverage", "law", "speed"))
