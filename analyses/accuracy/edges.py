@@ -1,18 +1,18 @@
 """Readings of observers with priors, and of contacts at edges, beside plain sums: which are wrong?
 
-    python analyses/accuracy/edges.py [table] [--count 600] [--seed 20261128]
+    python analyses/accuracy/edges.py [table] [--count 300] [--seed 20261128 20261129]
 
 Appends a row a reading to `edges.csv`, and prints a row a kind; what the table has is not made
 again. The kinds: priors of the angle that begin above zero, priors of the distance that end inside
 the whisker, the tip of whiskers that rub, and contacts beside the fold; a third of the readings are
 at an edge, which is an end of the prior, the tip or the fold to within a hundredth.
 
-The sums are over distance r and share v of the angles there, θ = low + (high − low)(1 − (1 − v)²),
-high being the fold or the prior's end. Each line of one distance has a stretch of v of its own,
-found by looking at the density to the power 1/16, 1/4 and 1. Sums over every second line say what
-error is left, and lines are doubled until it is a third of the bars; readings where it stays more
-are left out. Nothing of `weberwhisk.inference` but `Observer` has a part in it, and the likelihood
-is that of `truth.py`.
+The sums are over distance r and share v of the angles there, θ = low + (high − low) sin²(πv/2),
+high being the fold or the prior's end: many lines are near either. Each line of one distance has a
+stretch of v of its own, found by looking at the density to the power 1/16, 1/4 and 1. Sums over
+every second line say what error is left, and lines are doubled until it is a third of the bars;
+readings where it stays more are left out. Nothing of `weberwhisk.inference` but `Observer` has a
+part in it, and the likelihood is that of `truth.py`.
 
 A reading is silently wrong if it is *converged* and off by more than three times its claim and more
 than 1e-2 sd in mean or sd, or 2e-2 sd in an end of the 95 % interval.
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -138,12 +139,14 @@ class Case:
     def density(self, r: Array, high: Array, v: Array) -> tuple[Array, Array, Array]:
         """Angles and ln of the density in v (m, n), and the steps of v (m, 1)."""
         width = np.maximum(high - self.low, 0.0)[:, None]
-        angle = self.low + width * (1 - (1 - v) ** 2)
+        angle = self.low + width * np.sin(0.5 * np.pi * v) ** 2
         contact = np.stack(np.broadcast_arrays(r[:, None], angle), axis=-1)
         with np.errstate(all="ignore"):
             signals, outcome = self.observer.signals(contact)
             log = log_likelihood([self.group], self.reading, signals)
-            log = np.where(outcome == 0, log, -np.inf) + np.log(width * 2 * (1 - v))
+            log = np.where(outcome == 0, log, -np.inf) + np.log(
+                width * 0.5 * np.pi * np.sin(np.pi * v)
+            )
         if "deflection_angle" in self.prior:
             log = log + self.prior["deflection_angle"].logpdf(angle)
         if "radial_distance" in self.prior:
@@ -194,11 +197,12 @@ def stretches(
 ) -> tuple[float, float, Array, Array, Array]:
     """Of the domain inside: where distances begin and end, and at distances (n,), rising, where
     shares of the angles do, with two lines more on every side."""
-    rows, apart = np.flatnonzero(inside.any(axis=1)), r[1] - r[0]
-    rows = np.arange(max(rows[0] - 2, 0), min(rows[-1] + 3, len(r)))
-    first = np.where(inside, v, np.inf).min(axis=1)
-    last = np.where(inside, v, -np.inf).max(axis=1)
-    first, last = first - 2 * step[:, 0], last + 2 * step[:, 0]
+    held, lines = np.flatnonzero(inside.any(axis=1)), np.arange(len(r))
+    apart, rows = r[1] - r[0], lines[max(held[0] - 2, 0) : held[-1] + 3]
+    first = np.where(inside, v, np.inf).min(axis=1) - 2 * step[:, 0]
+    last = np.where(inside, v, -np.inf).max(axis=1) + 2 * step[:, 0]
+    # A line may slip through between two nodes.
+    first, last = (np.interp(lines, held, end[held]) for end in (first, last))
     first, last = minimum_filter1d(first, 5)[rows], maximum_filter1d(last, 5)[rows]
     ends = r[rows[0]] - 0.5 * apart, r[rows[-1]] + 0.5 * apart
     return *ends, r[rows], np.clip(first, 0, 1), np.clip(last, 0, 1)
@@ -213,7 +217,8 @@ def described(x: Array, weight: Array, edges: Array | None = None) -> Array:
     if edges is None:
         edges = np.linspace(x.min(), x.max(), 2001)
     mass, _ = np.histogram(x, edges, weights=share)
-    below = PchipInterpolator(edges, np.r_[0, np.cumsum(mass)])
+    with np.errstate(over="ignore"):  # of slopes where there is no mass
+        below = PchipInterpolator(edges, np.r_[0, np.cumsum(mass)])
     fine = np.linspace(edges[0], edges[-1], 100_001)
     return np.array([mean, sd, *np.interp([0.025, 0.975], below(fine), fine)])
 
@@ -263,14 +268,14 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("table", type=Path, nargs="?", default=TABLE)
-    parser.add_argument("--count", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=20261128)
+    parser.add_argument("--count", type=int, default=300, help="readings of a seed")
+    parser.add_argument("--seed", type=int, nargs="+", default=[20261128, 20261129])
     given = parser.parse_args()
     rows = pd.read_csv(given.table).to_dict("records") if given.table.exists() else []
     done = {(row["index"], row["seed"]) for row in rows}
-    for index in range(given.count):
-        if (index, given.seed) not in done:
-            rows.append(judged(index, given.seed))
+    for seed, index in product(given.seed, range(given.count)):
+        if (index, seed) not in done:
+            rows.append(judged(index, seed))
             pd.DataFrame(rows).to_csv(given.table, index=False, float_format="%.4g")
     table = pd.DataFrame(rows)
     print(summary(table).to_string(index=False, float_format="{:.3g}".format))
