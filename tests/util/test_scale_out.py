@@ -87,6 +87,7 @@ def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> 
 
 def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
     dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")  # whose settings would go with this one's end
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "0.3s"}),
         pytest.raises(ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"),
