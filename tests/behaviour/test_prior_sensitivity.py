@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk.behaviour import FitStatus, WeberFit, effects, fit_weber, prior_sensitivity
+from weberwhisk.behaviour import FitStatus, Priors, WeberFit, effects, fit_weber, prior_sensitivity
 from weberwhisk.behaviour.posteriors import log_score_density
 from weberwhisk.commands import as_options
 
@@ -164,3 +164,10 @@ def test_beliefs_that_are_known_are_no_rows() -> None:
     ]  # fmt: skip
     none = replace(trials, frame=trials.frame.assign(n=0, count=0).iloc[:0])
     assert fit_weber(none).prior_sensitivity.empty
+
+
+def test_scores_far_out_in_a_log_logistic_are_at_the_end() -> None:
+    """SciPy's survival function took the logarithm of 0 there, with a warning."""
+    priors = Priors(weber_fraction=stats.fisk(3.94, scale=0.1))
+    score = priors.score("weber_fraction", [1e-9, 0.1, 1e9])
+    np.testing.assert_allclose(score, [-9.0, 0.0, 9.0], atol=1e-9)

@@ -198,7 +198,8 @@ class Priors(Fields):
         prior, inside = self.of(name), np.asarray(value, dtype=float)
         if self.support(name)[0] == 0:
             inside = np.maximum(inside, TINY)
-        below, above = ndtri(prior.cdf(inside)), -ndtri(prior.sf(inside))
+        with np.errstate(divide="ignore"):  # SciPy's log-logistic takes ln of what is 0 far out
+            below, above = ndtri(prior.cdf(inside)), -ndtri(prior.sf(inside))
         return np.clip(np.where(below < 0, below, above), -REACH, REACH)
 
     def log_density(self, name: str, value: ArrayLike) -> Array:
