@@ -26,11 +26,11 @@ __all__ = [
 
 LogDensity = Callable[[Array], Array]
 
-#: Shares of the first coordinate below which parts of a mixture end, and from how many independent
-#: draws a dimension on: the quarters; and, where the tails are asked for, with a part of its own
-#: for either, which has a sixth of the draws. Ends of 95 % intervals of fits whose Weber fraction
-#: has a long tail (a floor) are then off by 0.02 sd r.m.s., where 5000 draws of quarters were by
-#: 0.07.
+#: From how many independent draws a dimension on a mixture has several components, and the shares
+#: of the first coordinate below which they end: the quarters; and, where the tails are asked for,
+#: with one for either tail, which has a sixth of the draws. Ends of 95 % intervals of fits whose
+#: Weber fraction has a long tail (a floor) are then off by 0.02 sd r.m.s., where 5000 draws of
+#: quarters were by 0.07.
 QUARTERS = 80.0, np.array([0.25, 0.5, 0.75])
 TAILS = 100.0, np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 

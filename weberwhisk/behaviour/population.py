@@ -410,10 +410,12 @@ def _redrawn(
     """
     means, sds = likely.mean[:, animal.at], likely.sd[:, animal.at]
     mean, sd = means.mean(axis=0), np.sqrt((sds**2).mean(axis=0))
-    known = _acquainted(animal, before.posterior(mean, sd), mean, sd, seed)
-    site = Site.of(known.values, known.weights, mean, sd)
+    posterior = before.posterior(mean, sd)
+    if posterior.effective < FIRST / 4:  # too few of what is known elsewhere count here
+        posterior = _adapted(animal, mean, sd, seed, tempered_components(posterior, FIRST / 4))
+    site = Site.of(posterior.values, posterior.weights, mean, sd)
     mixture = [site.given(*one) for one in zip(means, sds, strict=True)]
-    mixture += fitted_components(known)
+    mixture += fitted_components(posterior)
     drawn = AnimalDraws.of_mixture(animal, mixture, count, site, seed)
     if before.mixtures:
         drawn = before.joined(drawn)
@@ -421,20 +423,18 @@ def _redrawn(
     return replace(drawn, site=site)
 
 
-def _acquainted(
-    animal: Animal, draws: WeightedDraws, mean: Array, sd: Array, seed: Sequence[int]
+def _adapted(
+    animal: Animal, mean: Array, sd: Array, seed: int | Sequence[int], mixture: Sequence[Component]
 ) -> WeightedDraws:
-    """Draws of an animal in one population (E,): those given, unless they are worth too few."""
-    if draws.effective >= FIRST / 4:
-        return draws
+    """Draws of an animal in one population (E,), begun from a mixture or from the population."""
 
     def log_density(x: Array) -> Array:
-        return animal.log_likelihood(x) - 0.5 * (((x - mean) / sd) ** 2).sum(axis=1)
+        return np.asarray(animal.log_likelihood(x) - 0.5 * (((x - mean) / sd) ** 2).sum(axis=1))
 
+    points = SobolPoints(sd.size + 1, np.random.default_rng(seed))
     return adapted_draws(
-        log_density, mean, sd, SobolPoints(sd.size + 1, np.random.default_rng(seed)),
-        effective=FIRST / 2, most=4 * FIRST, size=FIRST,
-        mixture=tempered_components(draws, FIRST / 4),
+        log_density, mean, sd, points, effective=FIRST / 2, most=4 * FIRST, size=FIRST,
+        mixture=mixture,
     )  # fmt: skip
 
 
@@ -444,19 +444,9 @@ def _unacquainted(animals: Sequence[Animal], vague: Normals) -> list[AnimalDraws
     start: dict[bytes, Component] = {}
     for number, animal in enumerate(animals):
         mean, sd = vague.mean[animal.at], vague.sd[animal.at]
-        norm = -np.log(sd).sum() - 0.5 * sd.size * np.log(2 * np.pi)
-
-        def log_density(x: Array, animal: Animal = animal, norm: float = norm) -> Array:
-            mean, sd = vague.mean[animal.at], vague.sd[animal.at]
-            square = (((x - mean) / sd) ** 2).sum(axis=1)
-            return np.asarray(animal.log_likelihood(x) + norm - 0.5 * square)
-
         parameters = animal.at.tobytes()
-        drawn = adapted_draws(
-            log_density, mean, sd, SobolPoints(sd.size + 1, np.random.default_rng(number)),
-            effective=FIRST / 2, most=4 * FIRST, size=FIRST,
-            mixture=[start[parameters]] if parameters in start else (),
-        )  # fmt: skip
+        begun = [start[parameters]] if parameters in start else []
+        drawn = _adapted(animal, mean, sd, number, begun)
         site = Site.of(drawn.values, drawn.weights, mean, sd)
         log_like = animal.log_likelihood(drawn.values)
         out.append(AnimalDraws(animal.at, drawn.values, log_like, drawn.log_proposal, site))
