@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import inspect
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -81,7 +82,7 @@ def options(
     return parser.parse_args()
 
 
-def kept(columns: Sequence[str], path: str) -> pd.DataFrame:
+def kept(columns: Sequence[str], path: str | Path) -> pd.DataFrame:
     """A table that a script made, with all of these columns; anything else is refused."""
     try:
         table = pd.read_csv(path)
@@ -92,6 +93,21 @@ def kept(columns: Sequence[str], path: str) -> pd.DataFrame:
             f"{path} lacks {', '.join(missing)}; give a table that this script made"
         )
     return table
+
+
+def resumed(
+    path: Path,
+    one: Callable[..., dict[str, Any]],
+    designs: Iterable[dict[str, Any]],
+    digits: int = 5,
+) -> pd.DataFrame:
+    """A row a design, by `one`: those that the table has, and the others, each kept once made."""
+    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    for design in designs:
+        if not any(design.items() <= row.items() for row in rows):
+            rows.append(one(**design))  # type: ignore[arg-type]
+            pd.DataFrame(rows).to_csv(path, index=False, float_format=f"%.{digits}g")
+    return pd.DataFrame(rows)
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

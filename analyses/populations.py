@@ -24,13 +24,17 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.special import ndtr
+
+sys.path.insert(0, str(Path(__file__).parent))
+from command import markdown_table, resumed
 
 import weberwhisk as ww
 from weberwhisk.behaviour.effects import Contraction, Exponent, NoiseByOrder
@@ -172,9 +176,7 @@ def timed(name: str) -> dict[str, Any]:
 
 def table(rows: pd.DataFrame) -> str:
     """As Markdown."""
-    lines = [" | ".join(map(str, rows.columns)), " | ".join("---" for _ in rows.columns)]
-    lines += [" | ".join(map(str, row)) for row in rows.itertuples(index=False)]
-    return "\n".join(f"| {line} |" for line in lines)
+    return markdown_table(rows.columns, rows.astype(str).to_numpy())
 
 
 def page(rows: pd.DataFrame, of_law: pd.DataFrame, times: list[dict[str, Any]]) -> str:
@@ -214,20 +216,6 @@ rate, here there is one at either end. Its spreads have priors of their own.
 """
 
 
-def resumed(
-    path: Path, one: Callable[..., dict[str, Any]], designs: list[tuple[Any, ...]], keep: bool
-) -> pd.DataFrame:
-    """A row a design, by `one`: those that the file has, and those that are made now."""
-    rows = pd.read_csv(path).to_dict("records") if path.exists() and keep else []
-    done = {tuple(row[name] for name in ("lapse", "seed") if name in row) for row in rows}
-    for design in designs:
-        if design not in done:
-            rows.append(one(*design))  # type: ignore[arg-type]
-            if keep:
-                pd.DataFrame(rows).to_csv(path, index=False, float_format="%.5g")
-    return pd.DataFrame(rows)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -242,18 +230,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(json.dumps(timed(options.time)))
         return
     seeds = range(1 if options.short else options.populations)
-    designs = {"coverage": [(lapse, seed) for seed in seeds for lapse in LAPSES],
-               "law": [(seed,) for seed in seeds]}  # fmt: skip
-    made = {
-        name: resumed(
-            options.out / f"populations{'_law' * (name == 'law')}.csv", one,
-            designs[name] if options.only in (None, name) else [], keep=not options.short,
-        )
-        for name, one in (("coverage", covered), ("law", against_law))
-    }  # fmt: skip
-    for name, summarised in (("coverage", coverage), ("law", law)):
-        if len(made[name]):
-            print(summarised(made[name]).to_string(index=False))
+    designs = {"coverage": [{"lapse": lapse, "seed": seed} for seed in seeds for lapse in LAPSES],
+               "law": [{"seed": seed} for seed in seeds]}  # fmt: skip
+    parts = {"coverage": ("populations.csv", covered, coverage),
+             "law": ("populations_law.csv", against_law, law)}  # fmt: skip
+    made = {}
+    with TemporaryDirectory() as nowhere:
+        folder = Path(nowhere) if options.short else options.out
+        for name, (file, one, summarised) in parts.items():
+            wanted = designs[name] if options.only in (None, name) else []
+            made[name] = resumed(folder / file, one, wanted)
+            if len(made[name]):
+                print(summarised(made[name]).to_string(index=False))
     if options.only in designs:
         return
     times = []

@@ -22,19 +22,23 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from itertools import product
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from cases import largest_angle
+from compare import off
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import brentq
 from truth import log_likelihood
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from command import kept, resumed
 
 import weberwhisk as ww
 from weberwhisk import cues, receptors
@@ -110,20 +114,18 @@ class Case:
         self.ends = least, most
         noise = receptors.GeneralisedWeber(k, floor=self.group["floor"])
         self.observer = ww.Observer(self.whisker, self.cue, noise, self.prior)
-        near = self.edge
         share = rng.uniform(0.1, 0.9)
-        if near and self.kind in ("distance within", "rubbing tip"):
+        if self.edge and self.kind in ("distance within", "rubbing tip"):
             share = rng.choice([0.01, 0.99]) if self.kind == "distance within" else 0.995
         r = least + share * (most - least)
         high = self.high(np.array([r]))[0]
         across = rng.uniform(0.05, 0.95)
         if self.kind == "beside the fold":
-            across = rng.uniform(0.99, 0.9999) if near else rng.uniform(0.9, 0.99)
-        elif near and self.kind == "angle above zero":
+            across = rng.uniform(0.99, 0.9999) if self.edge else rng.uniform(0.9, 0.99)
+        elif self.edge and self.kind == "angle above zero":
             across = rng.choice([0.01, 0.99])
         contact = np.array([r, self.low + across * (high - self.low)])
         self.reading = self.observer.read(contact, rng)
-        self.contact = contact
 
     def fold(self, r: Array) -> Array:
         """Largest angle held at distances, rad."""
@@ -136,9 +138,9 @@ class Case:
             return self.fold(r)
         return np.minimum(self.fold(r), self.prior["deflection_angle"].support()[1])
 
-    def density(self, r: Array, high: Array, v: Array) -> tuple[Array, Array, Array]:
+    def density(self, r: Array, v: Array) -> tuple[Array, Array, Array]:
         """Angles and ln of the density in v (m, n), and the steps of v (m, 1)."""
-        width = np.maximum(high - self.low, 0.0)[:, None]
+        width = np.maximum(self.high(r) - self.low, 0.0)[:, None]
         angle = self.low + width * np.sin(0.5 * np.pi * v) ** 2
         contact = np.stack(np.broadcast_arrays(r[:, None], angle), axis=-1)
         with np.errstate(all="ignore"):
@@ -167,13 +169,13 @@ def summed(case: Case) -> tuple[Array, float]:
     for power, count in LOOKS:
         r = middles(first, last, count[0])
         v = spaced(np.interp(r, at, low), np.interp(r, at, high), count[1])
-        _, log, step = case.density(r, case.high(r), v)
+        _, log, step = case.density(r, v)
         first, last, at, low, high = stretches(r, v, log > log.max() - power * DROP, step)
     bars = np.array([MOMENTS, MOMENTS, ENDS, ENDS])
     for times in (1, 2, 4):
         r = middles(first, last, times * LINES[0])
         v = spaced(np.interp(r, at, low), np.interp(r, at, high), times * LINES[1])
-        angle, log, step = case.density(r, case.high(r), v)
+        angle, log, step = case.density(r, v)
         weight = np.exp(log - log.max()) * step
         distance = np.broadcast_to(r[:, None], angle.shape)
         edges = np.linspace(first, last, len(r) + 1)
@@ -228,24 +230,12 @@ def judged(index: int, seed: int) -> dict[str, Any]:
     case = Case(index, seed)
     truth, left = summed(case)
     found = ww.posterior(case.observer, case.reading)
-    row: dict[str, Any] = {
+    truth_of = dict(zip(case.cue.unknowns, truth, strict=True))
+    return {
         "index": index, "seed": seed, "kind": case.kind, "edge": case.edge,
         "curved": case.whisker.curvature != 0, "status": found.status.name, "left": left,
-        "moments": 0.0, "ends": 0.0, "bar": 0.0,
+        **off(found, truth_of, MOMENTS, ENDS),
     }  # fmt: skip
-    for name, (mean, sd, *ends) in zip(case.cue.unknowns, truth, strict=True):
-        one = found.estimates[name]
-        apart = np.abs([one.mean - mean, one.sd - sd]) / sd
-        claims = np.array([one.mean_error, one.sd_error]) / sd
-        of_ends = np.abs(found.interval(0.95, of=name) - np.array(ends)) / sd
-        claimed = np.nan_to_num(found.quantile_error([0.025, 0.975], of=name)) / sd
-        shares = np.r_[
-            apart / np.maximum(MOMENTS, 3 * claims), of_ends / np.maximum(ENDS, 3 * claimed)
-        ]
-        row["moments"] = max(row["moments"], float(apart.max()))
-        row["ends"] = max(row["ends"], float(of_ends.max()))
-        row["bar"] = max(row["bar"], float(np.nan_to_num(shares, nan=np.inf).max()))
-    return row
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
@@ -271,13 +261,15 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300, help="readings of a seed")
     parser.add_argument("--seed", type=int, nargs="+", default=[20261128, 20261129])
     given = parser.parse_args()
-    rows = pd.read_csv(given.table).to_dict("records") if given.table.exists() else []
-    done = {(row["index"], row["seed"]) for row in rows}
-    for seed, index in product(given.seed, range(given.count)):
-        if (index, seed) not in done:
-            rows.append(judged(index, seed))
-            pd.DataFrame(rows).to_csv(given.table, index=False, float_format="%.4g")
-    table = pd.DataFrame(rows)
+    if given.count < 1:
+        parser.error(f"--count must be at least 1, not {given.count}; write 300, say")
+    if given.table.exists():
+        try:
+            kept(["index", "seed", "kind", "edge", "status", "left", "bar"], given.table)
+        except argparse.ArgumentTypeError as error:
+            parser.error(str(error))
+    designs = [{"index": i, "seed": seed} for seed in given.seed for i in range(given.count)]
+    table = resumed(given.table, judged, designs, digits=4)
     print(summary(table).to_string(index=False, float_format="{:.3g}".format))
     worst = table[(table["bar"] > 1) & (table["left"] < SURE)]
     if len(worst):
