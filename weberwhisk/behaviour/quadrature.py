@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -205,16 +205,18 @@ class QuadraturePosterior(Fields):
         out = np.empty(first.shape)
         order, done = np.argsort(count, kind="stable"), 0
         while done < k.size:
-            fine = 4 * (count[order[done]] - 1) + 1
-            i = order[done : done + max(1, 40_000 // int(fine * max(m.cells.n.size, 1)))]
+            i = order[done : done + max(1, 40_000 // (count[order[done]] * max(m.cells.n.size, 1)))]
             done += i.size
-            share = np.linspace(0, 1, int(4 * (count[i[-1]] - 1) + 1))
-            step = (last[i] - first[i]) * share[1]
+            nodes = int(count[i[-1]])
+            share = np.linspace(0, 1, nodes)
             score = first[i, None] + (last - first)[i, None] * share[:, None]
             by_cell = m.cell_log_likelihood(
                 k[i, None], low[i, None], high[i, None], bias_at(m, score), effects[i, None]
             )
-            log_mass = by_cell @ m.membership + bias_prior(m, score)
+            log_mass = _between(nodes) @ (by_cell @ m.membership + bias_prior(m, score))
+            share = np.linspace(0, 1, log_mass.shape[1])
+            step = (last[i] - first[i]) * share[1]
+            score = first[i, None] + (last - first)[i, None] * share[:, None]
             below = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
             node = (below < rng.random((len(step), 1, m.n_groups)) * below[:, -1:]).sum(axis=1)
             at = np.take_along_axis(score, node[:, None], axis=1)[:, 0]
@@ -231,3 +233,13 @@ class QuadraturePosterior(Fields):
         last = [np.maximum(s.last[left], s.last[right]) for s in self.grid.windows]
         count = np.maximum(self.grid.bias_nodes[left], self.grid.bias_nodes[right])
         return np.stack(first, axis=1), np.stack(last, axis=1), count
+
+
+@lru_cache(maxsize=64)
+def _between(nodes: int) -> Array:
+    """What a cubic spline through values at even nodes makes of each four times as finely, (F, B):
+    a log density is as good there, and its answers' probabilities are a quarter."""
+    fine = np.linspace(0, nodes - 1, 4 * (nodes - 1) + 1)
+    if nodes < 2:
+        return np.ones((1, nodes))
+    return np.asarray(CubicSpline(np.arange(nodes), np.eye(nodes))(fine))
