@@ -167,11 +167,15 @@ def _ends(profile: Profile, least: Array, beyond: float) -> Span:
     if size == 1:
         both = np.broadcast_to(nodes, least.shape)
         return Span(both, both)
-    full = values > least[:, None]
+    full = values > least[:, None].astype(values.dtype)
     gap = (nodes[:, 1] - nodes[:, 0])[:, None]
     m, r = np.ogrid[: least.shape[0], : least.shape[1]]
+    # Counted from 1, in small whole numbers: `argmax` over a middle axis takes many times as long.
+    number = np.arange(1, size + 1).astype(np.min_scalar_type(size))[:, None]
+    begin = (size - (full * number[::-1]).max(axis=1).astype(np.intp)) % size
+    end = ((full * number).max(axis=1).astype(np.intp) - 1) % size
     out = []
-    for at, step in ((full.argmax(axis=1), -1), (size - 1 - full[:, ::-1].argmax(axis=1), 1)):
+    for at, step in ((begin, -1), (end, 1)):
         outside = np.minimum(np.maximum(at + step, 0), size - 1)
         outer = np.maximum(np.where(outside == at, -np.inf, values[m, outside, r]), least - 20.0)
         inner = np.maximum(values[m, at, r], least)  # where nothing is above, whatever
