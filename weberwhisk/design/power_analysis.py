@@ -225,9 +225,9 @@ def smallest(
     most : int, optional
         Where the search ends: 1000 trials of a comparison, or 200 animals.
     runs : int
-        Experiments of each size and truth visited, and twice as many of the size found. With
-        several animals 96 are enough where the power is clearly above or below the goal's share
-        (99 %), and at most so many as have 8192 animals together, though never below 96.
+        Experiments of each size and truth visited, and twice as many of the size found; 96 are
+        enough where the power is clearly above or below the goal's share (99 %). Of several animals
+        at most so many as have 8192 animals together, though never below 96.
     even : bool
         Take the next even number, so that every pair comes in both orders equally often; the power
         is that of this number.
@@ -282,9 +282,9 @@ def smallest(
     def reached(size: int) -> bool:
         if size not in visited:
             sized_scheme = sized(scheme, vary, size)
-            # Where the goal is far, few runs of several animals settle a size.
+            # Where the goal is far, few runs settle a size.
             whole = enough(sized_scheme.animals)
-            first_runs = whole if sized_scheme.animals == 1 else min(96, whole)
+            first_runs = min(96, whole)
             result = visit(sized_scheme, first_runs, size)
             if first_runs < whole and not _clear(result):
                 result = _joined([result, visit(sized_scheme, whole - first_runs, size, 1)])
