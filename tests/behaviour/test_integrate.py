@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -119,3 +121,16 @@ def test_many_trials_in_counts_are_as_quick_as_few_and_right() -> None:
         assert low < 0.1 < high
         widths.append(high - low)
     assert widths[0] / widths[1] == pytest.approx(10.0, rel=0.02)
+
+
+def test_draws_of_a_bias_on_thousands_of_nodes_fit_into_memory() -> None:
+    """A spline between nodes was a matrix: 3600 nodes took 10 s and more than a GB."""
+    path = Path(__file__).parents[1] / "data" / "contraction_standard.csv"
+    posterior = fit_weber(read_trials(path)).posterior
+    tracemalloc.start()
+    try:
+        posterior.draws()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 50e6
