@@ -40,6 +40,7 @@ def test_a_posterior_comes_back_to_the_bit(cue: Any, method: str) -> None:
     same(back(p), p)
 
 
+@pytest.mark.slow  # of pickles: every public object
 def test_a_posterior_of_three_unknowns_comes_back_to_the_bit() -> None:
     observer = ww.Observer(W, cues.UnknownStiffness(cues.ForceMap()))
     p = ww.posterior(observer, observer.read([25e-3, 0.2, 1.0], seed=1))

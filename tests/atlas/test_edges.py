@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 from analysis_scripts import FOLDER, load
+from short_forms import slow_but
 
 
 @pytest.fixture
@@ -18,12 +19,12 @@ def edges(monkeypatch: pytest.MonkeyPatch) -> Any:
     return script
 
 
-def test_a_reading_of_each_kind_is_that_of_its_sum(edges: Any) -> None:
-    for index, kind in enumerate(edges.KINDS):
-        row = edges.judged(index, 20261128)
-        assert row["kind"] == kind
-        assert row["moments"] < 2e-3
-        assert row["ends"] < 2e-2
+@pytest.mark.parametrize("index", slow_but(range(4), (0, 3)))
+def test_a_reading_of_each_kind_is_that_of_its_sum(edges: Any, index: int) -> None:
+    row = edges.judged(index, 20261128)
+    assert row["kind"] == edges.KINDS[index]
+    assert row["moments"] < 2e-3
+    assert row["ends"] < 2e-2
 
 
 @pytest.mark.slow

@@ -133,6 +133,7 @@ def test_a_cliff_in_the_posterior_of_a_fit_is_resolved() -> None:
         (0.03253, 7, 4, [1, 3, 2, 1, 3, 2, 0]),
     ],
 )
+@pytest.mark.slow  # of such draws: lapses that leave no rise
 def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
     span: float, levels: int, n: int, answers: list[int]
 ) -> None:
@@ -212,6 +213,7 @@ def test_a_populations_weber_fraction_is_that_of_weighed_draws_whatever_its_laps
     assert judged.seen["of_weber_fraction"][0] < populations.ERROR
 
 
+@pytest.mark.slow
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:
     """The rod took 226°, past the fold, for −134°, where it found a contact on the other side."""
     whisker = Whisker(50e-3, 100e-6, 100e-6, 3e9, 16.19846)

@@ -54,7 +54,8 @@ LONG = {
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance", "fusions of any whisker",
     "real whiskers", "curvature or hinge uncertain", "curved whiskers in space",
-    "friction unknown",
+    "friction unknown", "quadrature, two taps fused", "laplace, velocity felt",
+    "quadrature, vibration, phase",
 }  # fmt: skip
 
 

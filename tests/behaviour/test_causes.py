@@ -23,6 +23,7 @@ from weberwhisk.behaviour import (
     fit_weber,
     read_trials,
     simulate_trials,
+    weber_law_test,
 )
 from weberwhisk.behaviour import effects as of
 from weberwhisk.behaviour.causes import TRIED, WHOLE, possible_causes, with_causes
@@ -51,6 +52,7 @@ CASES: dict[str, tuple[of.Effect, float]] = {
 
 
 @pytest.mark.parametrize("name", slow_but(CASES, (3,)))
+@pytest.mark.slow  # of a cause found: the cases below
 def test_the_cause_that_made_the_answers_is_first(name: str) -> None:
     trials = observed(CASES[name], trials_per_level=30)
     fit = fit_weber(trials)
@@ -136,6 +138,15 @@ def test_the_cause_of_a_known_case_is_its_own(contracted: WeberFit) -> None:
     assert table.loc["contraction", "weber_fraction"] == pytest.approx(0.202, abs=0.003)
 
 
+def test_a_contracting_observer_is_not_said_to_break_the_law(contracted: WeberFit) -> None:
+    """One bias for all standards made the evidence decisive against the law here."""
+    test = weber_law_test(contracted)
+    assert test.log_bayes_factor > 0
+    low, high = test.rivals.loc["exponent", ["lower", "upper"]]
+    assert low < 1 < high
+    assert "would have shown" in test.report()
+
+
 def advised(report: str) -> list[str]:
     return re.findall(r"fit_weber\((?:[^()]|\([^()]*\))*\)", report)
 
@@ -173,6 +184,7 @@ def test_the_fit_that_is_advised_holds_of_other_causes(given: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize("seed", slow_but(range(4), (0,)))
+@pytest.mark.slow  # of a sound fit: `test_criticism.py`
 def test_a_plain_observer_has_no_cause(seed: int) -> None:
     fit = fit_weber(observed(seed=seed, trials_per_level=20))
     assert fit.search.chosen is None or not fit.unweighed.is_misfit
@@ -196,7 +208,7 @@ def test_causes_are_those_that_a_table_can_show() -> None:
     assert "overdispersion" not in [cause.name for cause in possible_causes(scattered)]
 
 
-@pytest.mark.parametrize("every", slow_but([4, 1], (0,)))
+@pytest.mark.parametrize("every", slow_but([8, 1], (0,)))
 def test_a_quick_fit_has_the_evidence_of_a_whole_one(every: int) -> None:
     fit = fit_weber(observed(trials_per_level=10))
     for cause in possible_causes(fit)[::every]:

@@ -580,7 +580,7 @@ def held_or_said(table: pd.DataFrame, task: str, k: float) -> bool:
     return low <= k <= high or fit.status.name != "DETERMINED"
 
 
-@pytest.mark.parametrize("boundary", [13.0, 14.0, 15.0])
+@pytest.mark.parametrize("boundary", slow_but([13.0, 14.0, 15.0], (2,)))
 def test_a_criterion_of_several_sds_does_not_move_k_in_silence(boundary: float) -> None:
     """Under a standard normal belief intervals held k = 0.08 in 10, 2 and 0 of 20, DETERMINED."""
     shown, n = np.array([10, 12, 14, 16, 18, 20.0]), np.array([200, 40, 40, 40, 40, 40])

@@ -90,6 +90,7 @@ def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
 @pytest.mark.parametrize(
     ("drift", "best"), slow_but([(0.0, "stationary"), (-1.6, "drifting")], (1,))
 )
+@pytest.mark.slow  # of a comparison: the noise that made the data
 def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
     trials = simulate_trials(
         weber_fraction=0.15, drift=drift, sessions=5, offsets=[-0.3, -0.1, 0.1, 0.3],

@@ -154,7 +154,7 @@ def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
     assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=1e-7)
 
 
-@pytest.mark.parametrize("name", slow_but(CASES, (1, 5)))
+@pytest.mark.parametrize("name", slow_but(CASES, (1,)))
 def test_an_effect_is_found_where_it_is(name: str) -> None:
     effect, value = CASES[name]
     # Lapses known: one dimension less at a time is enough for a test that always runs.
@@ -325,8 +325,11 @@ def test_the_bias_of_a_session_is_that_of_a_fit_of_it_alone() -> None:
     assert low > 0.1
     with pytest.raises(ValueError, match=r"same in all sessions.*SessionBias"):
         fit_weber(trials).session_biases()
+    with pytest.raises(ValueError, match=r"states.*one bias for all sessions"):
+        fit_weber(trials, effects=[SessionBias()], states=3)
 
 
+@pytest.mark.slow  # of session_bias: the bias of a session, and `test_causes.py`
 def test_sessions_of_a_known_case_differ_in_bias_and_k_stays() -> None:
     """Ten sessions whose biases have an sd of 0.5, k 0.13 (drawn: 0.28 and 0.120)."""
     rng = np.random.default_rng(0)
@@ -348,8 +351,6 @@ def test_sessions_of_a_known_case_differ_in_bias_and_k_stays() -> None:
     assert checks(fit)["p"].min() > 0.01
     left_out = compare({"plain": plain, "sessions": fit}).table["elpd"]
     assert 5 < left_out["sessions"] - left_out["plain"] < 40
-    with pytest.raises(ValueError, match=r"states.*one bias for all sessions"):
-        fit_weber(trials, effects=[SessionBias()], states=3)
 
 
 # -- noise that does not grow ---------------------------------------------------------------------

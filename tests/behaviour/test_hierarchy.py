@@ -71,6 +71,7 @@ def test_a_prior_of_spreads_that_ends_above_zero_is_integrated_from_there() -> N
     assert fit.status is not PopulationStatus.NOT_CONVERGED
 
 
+@pytest.mark.slow
 def test_a_prior_that_ends_above_the_likely_is_integrated_or_said_not_to_be() -> None:
     trials, _ = animals(2)
     believed = Priors(weber_fraction=stats.uniform(0.03, 0.09), lapse_low=0.02, lapse_high=0.02)
@@ -201,7 +202,7 @@ def test_pooling_draws_animals_together_and_errs_less() -> None:
         assert low < value < high
 
 
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
+@pytest.mark.parametrize("unit", slow_but([1e-6, 1e6], (0,)))
 def test_the_unit_does_not_matter(unit: float) -> None:
     trials, _ = animals(3)
     scaled, _ = animals(3, standards=[1.0 * unit, 2.0 * unit])
@@ -214,6 +215,7 @@ def test_the_unit_does_not_matter(unit: float) -> None:
     )
 
 
+@pytest.mark.slow  # of a population: by brute force, above
 def test_five_animals_of_a_percent_correct_task() -> None:
     trials, truth = animals(
         5, task="3AFC percent correct", offsets=[0.1, 0.2, 0.4, 0.8], trials_per_level=20
@@ -266,6 +268,7 @@ def test_no_animal_at_all_is_an_outcome() -> None:
         fit.to_arviz()
 
 
+@pytest.mark.slow  # of such animals: the test above
 def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
     trials, _ = animals(3, spread=0.1, trials_per_level=30)
     frame = trials.frame.copy()

@@ -19,6 +19,9 @@ from weberwhisk.behaviour.population import Site
 
 OFFSETS = [-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]
 
+#: Given, as they are half of what a fit takes.
+LAPSES = {"lapse_low": 0.02, "lapse_high": 0.02}
+
 
 def people(count: int, *, lapse: float = 0.02, seed: int = 1, power: float = 1.0,
            standards: tuple[float, ...] = (1.0, 2.0), n: int = 10) -> Trials:  # fmt: skip
@@ -74,6 +77,7 @@ def test_the_integral_of_a_site_is_that_of_normals() -> None:
     np.testing.assert_allclose(site.log_integral(mean, sd), direct, atol=0.05)
 
 
+@pytest.mark.slow
 def test_lapses_that_all_lack_are_learnt_from_all() -> None:
     """Each person's lapses were taken as about 3 %, and the median k was 10 to 14 % low."""
     trials = people(8, lapse=0.0, n=25, seed=4)
@@ -114,7 +118,7 @@ def test_what_is_read_off_a_population_with_effects() -> None:
 def test_formulas_go_by_the_table_of_all_animals() -> None:
     trials = people(2, standards=(1.0,))
     table = trials.table().assign(dose=lambda t: np.arange(len(t)) % 3)
-    fit = fit_population(read_trials(table), effects=["k ~ dose"], check=False)
+    fit = fit_population(read_trials(table), effects=["k ~ dose"], check=False, priors=LAPSES)
     assert fit.parameters[2:4] == ("k:dose", "k:dose_spread")
 
 
@@ -132,7 +136,7 @@ def test_an_animal_that_lacks_a_standard_lacks_its_bias() -> None:
 def test_priors_of_spreads_are_stated_by_name() -> None:
     trials = people(2, standards=(1.0,))
     wide = fit_population(
-        trials, spread_prior={"bias_spread": stats.halfnorm(scale=2.0)}, check=False
+        trials, spread_prior={"bias_spread": stats.halfnorm(scale=2.0)}, check=False, priors=LAPSES
     )
     assert wide.summary().loc["bias_spread", "prior"] == "halfnorm(scale=2)"
     assert wide.summary().loc["spread", "prior"] == "halfnorm(scale=0.5)"
@@ -140,6 +144,7 @@ def test_priors_of_spreads_are_stated_by_name() -> None:
         fit_population(trials, spread_prior={"bias_spreads": stats.halfnorm(scale=2.0)})
 
 
+@pytest.mark.slow  # of workers: `tests/util` and `tests/recordings`
 def test_what_workers_do_is_the_same() -> None:
     trials = people(2, standards=(1.0,))
     done: list[float] = []
@@ -150,6 +155,7 @@ def test_what_workers_do_is_the_same() -> None:
     assert sum(done) == 2
 
 
+@pytest.mark.slow  # of populations that misfit: `test_misfit.py`
 def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
     trials = people(3, power=1.9, standards=(1.0, 2.0, 4.0), n=20, seed=5)
     fit = fit_population(trials)
@@ -164,10 +170,10 @@ def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
 
 
 @pytest.mark.parametrize("power", [1.5, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow  # of the law: `test_weber_law.py`; of all animals: `fit --together --law`
 def test_weber_s_law_is_tested_of_all_animals_together(power: float) -> None:
     trials = people(4, power=power, standards=(1.0, 2.0, 4.0), n=30, seed=5)
-    lapses = {"lapse_low": 0.02, "lapse_high": 0.02}  # given, as they are half of what it takes
-    test = weber_law_test(fit_population(trials, check=False, priors=lapses))
+    test = weber_law_test(fit_population(trials, check=False, priors=LAPSES))
     assert test.rivals.loc["exponent", "lower"] < power < test.rivals.loc["exponent", "upper"]
     assert test.least_shown < 0.5
     if power == 1.0:
@@ -184,6 +190,7 @@ def test_weber_s_law_is_not_tested_of_nobody() -> None:
         weber_law_test(nobody)
 
 
+@pytest.mark.slow
 def test_sound_people_have_no_misfit() -> None:
     fit = fit_population(people(6, n=20, seed=7))
     assert fit.status is PopulationStatus.DETERMINED

@@ -101,7 +101,8 @@ def test_it_is_the_sensitivity_of_arviz(fit: WeberFit, monkeypatch: pytest.Monke
 
 def test_few_draws_with_the_weight_are_drawn_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = FITS["go/no-go"]()
-    before = fit.prior_sensitivity
+    more = replace(fit.posterior, n_draws=16_000)  # so that the other's error is most of theirs
+    before = prior_sensitivity.prior_sensitivity(fit.model, more)
     monkeypatch.setattr(prior_sensitivity, "LEAST_EFFECTIVE", 1e9 / 5)
     monkeypatch.setattr(
         prior_sensitivity, "adapted_draws",

@@ -22,6 +22,7 @@ def statuses(trials: Trials, seeds: range, **options: object) -> set[str]:
     return {fit_weber(trials, seed=seed, **options).status.name for seed in seeds}  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_no_seed_changes_a_status_near_a_threshold() -> None:
     """Its p for levels was a share of 250 draws: nine seeds passed, and seven did not."""
     trials = simulate_trials(standards=[1, 2], lapse_low=0.02, lapse_high=0.05, bias=0.3, seed=15)

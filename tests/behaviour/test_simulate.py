@@ -134,14 +134,15 @@ def norm_cdf(x: float) -> float:
 
 
 def test_a_population_has_the_spread_asked_for() -> None:
+    n = 200
     _, truth = simulate_population(
-        500, weber_fraction=0.2, spread=0.4, lapse_low=0.05, trials_per_level=1, offsets=[0.1],
+        n, weber_fraction=0.2, spread=0.4, lapse_low=0.05, trials_per_level=1, offsets=[0.1],
         seed=8,
     )  # fmt: skip
     logs = np.log(truth["weber_fraction"])
-    assert np.mean(logs) == pytest.approx(np.log(0.2), abs=4 * 0.4 / np.sqrt(500))
-    assert np.std(logs) == pytest.approx(0.4, rel=4 / np.sqrt(1000))
-    assert np.mean(truth["lapse_low"]) == pytest.approx(0.05, abs=4 * 0.033 / np.sqrt(500))
+    assert np.mean(logs) == pytest.approx(np.log(0.2), abs=4 * 0.4 / np.sqrt(n))
+    assert np.std(logs) == pytest.approx(0.4, rel=4 / np.sqrt(2 * n))
+    assert np.mean(truth["lapse_low"]) == pytest.approx(0.05, abs=4 * 0.033 / np.sqrt(n))
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def said(trials: Trials, words: str) -> bool:
     return any(words in note for note in trials.notes)
 
 
-@pytest.mark.parametrize("tables", [40, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tables", [20, pytest.param(2000, marks=pytest.mark.slow)])
 def test_the_fit_is_the_same_or_a_note_says_why_not(
     tables: int, tmp_path: Path, search_seed: int
 ) -> None:
@@ -152,6 +152,7 @@ def test_the_fit_is_the_same_or_a_note_says_why_not(
                 assert one.status is other.status, where
 
 
+@pytest.mark.slow
 def test_selecting_each_subject_takes_as_long_whatever_their_number() -> None:
     """Of a thousand it took six times as long a subject as of a hundred; of 500 beside 25, more."""
     rng = np.random.default_rng(1)

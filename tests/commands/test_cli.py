@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 import typer
 from command_lines import CONTACT, SOFT, WHISKER, answer, refused, rows
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -339,7 +340,7 @@ def test_process_answers_and_refuses() -> None:
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("many", slow_but([False, True], (1,)))
 def test_process_whose_reader_goes_is_quiet(many: bool) -> None:
     angles = ",".join(map(str, np.linspace(1, 10, 5000 if many else 2)))
     reading, writing = os.pipe()

@@ -99,7 +99,7 @@ def test_simulate_prints_its_table_or_where_it_is(
     assert f"Written to {tmp_path}: trials.csv" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", slow_but(EFFECTS, (0, 4)))
 def test_simulate_draws_the_curve_of_every_effect(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:

@@ -19,7 +19,7 @@ REHEARSE = ["rehearse", "--runs", "2", "--workers", "1"]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("design") / "out"
-    assert run_app(cli.app, [*DESIGN, "--runs", "16", "--workers", "1", "--out", str(out)]) == 0
+    assert run_app(cli.app, [*DESIGN, "--runs", "4", "--workers", "1", "--out", str(out)]) == 0
     return out
 
 

@@ -93,13 +93,16 @@ def test_posteriors_agree_with_brute_force(cue):
 
 @pytest.mark.parametrize(
     ("cue", "noise"),
-    [
-        (ForceMap(), Weber([0.01, 0.02], correlation=0.5)),
-        (ForceMap(["moment", "transverse_force"]), None),
-        (ALL, GeneralisedWeber(0.01, floor=[0, 0, 1e-7], correlation=-0.3)),
-        (KNOWN[0], Weber(0.01)),
-        (UnknownStiffness(ALL, 0.05), None),
-    ],
+    slow_but(
+        [
+            (ForceMap(), Weber([0.01, 0.02], correlation=0.5)),
+            (ForceMap(["moment", "transverse_force"]), None),
+            (ALL, GeneralisedWeber(0.01, floor=[0, 0, 1e-7], correlation=-0.3)),
+            (KNOWN[0], Weber(0.01)),
+            (UnknownStiffness(ALL, 0.05), None),
+        ],
+        (0, 4),
+    ),
 )
 def test_posteriors_have_the_propagated_width_at_small_noise(cue, noise):
     contact = np.array([[20e-3, 0.2, 1.0], [32e-3, 0.2, 1.0]])[:, : len(cue.unknowns)]

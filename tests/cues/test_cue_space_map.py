@@ -136,6 +136,7 @@ def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unkno
         assert estimate.sd == pytest.approx(sd[i], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_curved_whisker_keeps_the_protocol():
     observer = ww.Observer(CURVED, SpaceMap(SPACE))
     keeps_the_protocol(observer, CONTACT * [1, 0.5, 1])

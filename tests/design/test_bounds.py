@@ -92,7 +92,7 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize("progress", [None, lambda done: None])
+@pytest.mark.parametrize("progress", slow_but([None, lambda done: None], (0,)))
 def test_the_search_shows_the_time_left_on_a_terminal(
     monkeypatch: pytest.MonkeyPatch, progress: Any
 ) -> None:

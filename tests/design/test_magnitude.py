@@ -253,6 +253,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ww.design.Pla
 
 
 @pytest.mark.usefixtures("few_draws")
+@pytest.mark.slow  # missing: also in the test after
 def test_trials_that_are_missing_are_said(
     small: tuple[Path, ww.design.Plan], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

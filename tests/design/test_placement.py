@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
@@ -65,16 +66,19 @@ CORRECT = Hypothesis("correct", IdentityEncoding(), bias="none", task="3AFC perc
 
 @pytest.mark.parametrize(
     ("hypotheses", "standards", "n"),
-    [
-        ([PLAIN], [1.0], 20),
-        ([PLAIN], [1.0], 300),
-        ([Hypothesis("Weber", IdentityEncoding())], [0.5, 2.0], 150),
-        ([KNOWN], [1.0], 100),
-        ([FLAT], [1.0], 200),
-        ([CORRECT], [1.0], 100),
-        ([Hypothesis("log", LogEncoding(), bias="shared")], [0.0], 60),
-        (TAPER, [0.3 * W.length, 0.8 * W.length], 120),
-    ],
+    slow_but(
+        [
+            ([PLAIN], [1.0], 20),
+            ([PLAIN], [1.0], 300),
+            ([Hypothesis("Weber", IdentityEncoding())], [0.5, 2.0], 150),
+            ([KNOWN], [1.0], 100),
+            ([FLAT], [1.0], 200),
+            ([CORRECT], [1.0], 100),
+            ([Hypothesis("log", LogEncoding(), bias="shared")], [0.0], 60),
+            (TAPER, [0.3 * W.length, 0.8 * W.length], 120),
+        ],
+        (2, 5, 7),
+    ),
     ids=["few", "many", "biases", "known", "flat lapses", "percent correct", "log", "whisker"],
 )
 def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards, n):
@@ -117,7 +121,7 @@ def test_information_is_the_integral_that_it_says():
         assert bits == pytest.approx(whole - left, abs=1e-4)
 
 
-@pytest.mark.parametrize("goal", ["weber_fraction", "hypothesis", "everything"])
+@pytest.mark.parametrize("goal", slow_but(["weber_fraction", "hypothesis", "everything"], (2,)))
 def test_lapses_and_bias_are_integrated_out(goal):
     """Brute force: draws of all parameters from their priors, and means over them."""
     priors = Priors(lapse_low=stats.beta(2, 18), lapse_high=stats.beta(1, 9), lapse_correlation=0,
@@ -195,6 +199,7 @@ def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
 # -- the trials saved ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_information_saves_trials():
     """k twice what was expected: a narrower interval than constant stimuli for the expected k."""
     levels = [-2.0, -1.2, -0.6, 0.6, 1.2, 2.0]

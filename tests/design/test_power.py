@@ -274,6 +274,7 @@ def test_intervals_cover_populations_that_the_priors_draw(animals, runs):
 # -- power, and the smallest design ---------------------------------------------------
 
 
+@pytest.mark.slow  # of power: by a brute force simulation
 def test_power_grows_with_trials_and_falls_with_lapses():
     scheme = design((0.3, 0.9), 10)
     options = {"trials": [5, 20], "truths": ["tapered"], "runs": 128, "seed": 3}

@@ -134,6 +134,7 @@ def test_the_command_writes_trials_that_fit_reads(
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_command_killed_outright_goes_on(tmp_path: Path) -> None:
     """kill -9 while the animal is at trial 4: the next start proposes trial 4 again."""
     log = tmp_path / "log"

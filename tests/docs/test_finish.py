@@ -229,6 +229,7 @@ def test_nothing_is_of_one_system_alone() -> None:
     assert found == []
 
 
+@pytest.mark.slow
 def test_located_contacts_have_a_methods_paragraph() -> None:
     whisker = ww.Whisker(50e-3, 100e-6, 5e-6)
     bent = ww.press(whisker, [20e-3, 20e-3, 30e-3], 0.3)

@@ -9,6 +9,7 @@ import pytest
 from first_day import play
 
 
+@pytest.mark.slow  # what they type: `tests/commands`, and the README's quickstart
 def test_users_get_what_they_came_for(tmp_path: Path) -> None:
     """Of each kind one: what the others type runs in tests/commands, design and recordings."""
     day = play.Day(Path(sys.executable), tmp_path)

@@ -408,6 +408,7 @@ def test_a_named_whisker_carries_its_curvature_where_asked():
         rest_shape("C2", "cat")
 
 
+@pytest.mark.slow  # of each alone: its own tests
 def test_whatever_takes_a_named_whisker_as_straight_says_so():
     """Of contacts, touches, places and JNDs, where once the posterior alone did."""
     plain = Whisker.from_identity("C2")

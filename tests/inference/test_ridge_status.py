@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, cues, receptors
 
 
+@pytest.mark.slow
 def test_a_ridge_of_unknown_width_is_imprecise() -> None:
     """A cylinder's map: an sd of 0.11 m with an error of 4800 m, on a whisker of 1 m.
 

@@ -86,6 +86,7 @@ def test_one_worker_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPat
     assert reports == [(2, 5), (4, 5), (5, 5)]
 
 
+@pytest.mark.slow  # of workers: `tests/util` and `tests/recordings`
 def test_two_workers_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     observer = OBSERVERS["force map"]
     y = readings_of(observer, 5)

@@ -317,6 +317,7 @@ def test_draws_and_quantiles_of_a_roll_agree_and_stay_in_its_prior():
         )
 
 
+@pytest.mark.slow
 def test_a_column_with_room_for_the_least_angle_alone_is_below_every_angle():
     """At the end of the reach the largest angle comes down to 0: 0/0 was a place in no table.
 

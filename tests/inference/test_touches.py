@@ -275,6 +275,7 @@ def test_misuse_of_touches_is_refused(work, says):
     ("noise", "factor"),
     slow_but(product([Weber(0.01), LogNormal(0.1)], [[-1.0, -1.0], [1e36, 1e-25]]), (0,)),
 )
+@pytest.mark.slow
 def test_a_reading_of_no_contact_among_touches_is_said(noise, factor):
     """Its errors overflowed where distances had next to no sd."""
     observer = Observer(W, cues.UnknownStiffness(cues.ForceMap()), noise)

@@ -332,6 +332,7 @@ def test_quantiles_are_those_of_a_table_of_contacts(k):
     ("k", "contact"),
     slow_but([(0.03, [27.4e-3, 0.6353]), (0.1, [19.85e-3, 0.81]), (0.3, [23.35e-3, 0.7563])], (1,)),
 )
+@pytest.mark.slow
 def test_ends_of_an_angles_interval_beside_the_fold_are_those_of_a_plain_sum(k, contact):
     """Over distances and the root of the share short of the fold, in which the fold is smooth."""
     observer = ww.Observer(W, ForceMap(), Weber(k))
@@ -520,6 +521,7 @@ def test_mass_that_ends_between_two_nodes_is_an_error():
     assert abs(p.sd - sd) < 2e-3 * sd
 
 
+@pytest.mark.slow
 def test_cells_whose_noise_vanishes_hide_no_others():
     """Signals beside rest have squares that underflow: a curved whisker had no posterior."""
     whisker = ww.Whisker(0.05, 1e-4, 5e-6, 3e9, curvature=-12.0)
@@ -546,6 +548,7 @@ def test_touches_lighter_than_any_cell_are_flagged(angle, status):
     assert (abs(p.log_evidence - log_evidence) < 1e-3) == (status == "CONVERGED")
 
 
+@pytest.mark.slow
 def test_measurement_errors_keep_cells_in_which_a_force_turns_round():
     """Row 144 of the kept truths at one azimuth: evidence 1.1 % too low, were they left out."""
     noise = [
@@ -616,6 +619,7 @@ def plain_sum_of_wedge(observer, reading, prior, low, count):
         (2,),
     ),
 )
+@pytest.mark.slow  # of priors: those of all kinds
 def test_a_prior_of_the_angle_may_begin_above_the_fold(prior):
     """Distances end where the fold comes down to the least angle: there angles are a wedge."""
     observer = ww.Observer(W, ForceMap(), ww.receptors.Weber(0.1), {"deflection_angle": prior})

@@ -88,6 +88,7 @@ def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction
     assert np.max(relative(found, exact)) < 5e-5
 
 
+@pytest.mark.slow  # of the rod: above
 def test_of_a_whisker_that_is_all_but_straight_it_is_the_elastica():
     w = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=1e-9)
     surface, straight = CurvedSurface(w, in_space=True), Surface(w)

@@ -8,6 +8,7 @@ import pytest
 from analysis_scripts import load
 from integrators import follow
 from mpmath import mp
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -51,7 +52,7 @@ def test_bend_and_press_meet_the_stored_references():
     assert pressed.held.all()
 
 
-@pytest.mark.parametrize("ratio", [1, 1.001, 1.5, 3, 20, 1000, np.inf])
+@pytest.mark.parametrize("ratio", slow_but([1, 1.001, 1.5, 3, 20, 1000, np.inf], (0, 4, 6)))
 def test_bend_meets_an_independent_integrator_up_to_the_fold(ratio):
     w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio, 3e9)
     for fraction in (0.01, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999):

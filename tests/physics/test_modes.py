@@ -58,7 +58,7 @@ def test_perfect_cone_frequencies_are_the_zeros_of_its_bessel_equation():
     ]
 
 
-@pytest.mark.parametrize("ratio", slow_but([1.5, 5.0, 20.0, 100.0], (0, 2)))
+@pytest.mark.parametrize("ratio", slow_but([1.5, 5.0, 20.0, 100.0], (2,)))
 def test_truncated_cone_frequencies_are_the_zeros_of_their_bessel_determinant(ratio):
     """All four solutions z⁻² {J₂, Y₂, I₂, K₂}(z), z = 2√(ω′ξ), clamped at ξ = 1, free at 1/R.
 

@@ -112,6 +112,7 @@ def _compare(located: pd.Series, r: np.ndarray, weight: np.ndarray, of: str = "t
     assert abs(located[f"{of}upper_mm"] - high) < 0.15 * sd
 
 
+@pytest.mark.slow  # of gross taps: `tests/analyses/test_contacts.py`
 def test_a_gross_slope_does_not_spoil_its_touch() -> None:
     """By the sum by hand; without it the touch would be off by 5 sds."""
     found = ww.calibrate(_taps(), NOMINAL)
@@ -256,6 +257,7 @@ def test_refusals(change: dict, sentence: str) -> None:
         ww.calibrate(taps, NOMINAL)
 
 
+@pytest.mark.slow
 def test_columns_of_distance_and_slope_by_any_name(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

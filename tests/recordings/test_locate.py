@@ -148,6 +148,7 @@ def test_the_note_on_signs_works_as_it_stands(
 
 
 @pytest.mark.parametrize("tip_um", slow_but([300.0, 290.0], (0,)))
+@pytest.mark.slow
 def test_a_cylinder_is_a_straight_wire_unless_said(
     tip_um: float, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -242,7 +243,7 @@ def test_rows_that_tell_nothing_stay() -> None:
     assert found["message"].str.len().min() > 5
 
 
-@pytest.mark.parametrize(("soft", "k"), slow_but([(False, 0.1), (False, 0.3), (True, 0.1)], (0, 2)))
+@pytest.mark.parametrize(("soft", "k"), slow_but([(False, 0.1), (False, 0.3), (True, 0.1)], (2,)))
 def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool, k: float) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
     rng = np.random.default_rng(4)
@@ -420,7 +421,7 @@ def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, plain, rtol=1e-9)
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, pytest.param(300, marks=pytest.mark.slow)])
 def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, count: int) -> None:
     """Cut files, swapped columns, NaN and text, other units: refused, or every row has a status."""
     rng = np.random.default_rng(18)
@@ -589,7 +590,7 @@ def test_workers_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, noise: floa
 
 
 @pytest.mark.parametrize("curvature", [-15.0, 0.0, 10.0])
-@pytest.mark.parametrize("k", [0.06, 0.2])
+@pytest.mark.parametrize("k", slow_but([0.06, 0.2], (1,)))
 def test_lattices_agree_with_cells(curvature: float, k: float) -> None:
     """Moments, quantiles and evidence, where the lattice claims them; it claims most of them."""
     from weberwhisk.inference import default_noise
@@ -616,6 +617,7 @@ def test_lattices_agree_with_cells(curvature: float, k: float) -> None:
 @pytest.mark.parametrize(
     "noise", slow_but([0.1, ww.receptors.GeneralisedWeber(0.1, floor=[0, 2e-6]), None], (0,))
 )
+@pytest.mark.slow
 def test_a_touch_does_not_depend_on_touches_of_the_other_side(noise: object) -> None:
     whisker = replace(C2, curvature=-15.0)
     film = _film(8)

@@ -184,6 +184,7 @@ def test_the_whisker_is_never_inside_the_object(name, whisker):
         assert -2e-8 < np.max(depth) < 1e-9  # it touches, within the spacing of the points
 
 
+@pytest.mark.slow
 def test_a_whisker_curved_towards_a_wall_ends_where_it_touches_twice():
     """Tip first, then flush; there the free end dips into the wall, which two points must hold.
 

@@ -67,6 +67,7 @@ def check(what: str, n: int) -> None:
 
 
 @pytest.mark.parametrize("what", slow_but(["flick past", "posterior"], (0,)))
+@pytest.mark.slow
 def test_many_scenes(what: str) -> None:
     """Flick-past angles took 1.1 kB a scene."""
     check(what, 100_000)
