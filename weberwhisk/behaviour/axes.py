@@ -20,6 +20,8 @@ __all__ = [
     "log_lapses_possible", "score_prior", "signals",
 ]  # fmt: skip
 
+FALL = 0.25  # sd of the fall of a bias's prior beyond the ends of its coordinate
+
 
 def score_prior(axis: Array) -> Array:
     """Standard normal log-density of the scores; nothing for a fixed parameter."""
@@ -119,12 +121,18 @@ def bias_at(model: WeberModel, coordinate: Array) -> Array:
 
 
 def bias_prior(model: WeberModel, coordinate: Array) -> Array:
-    """Log prior density of a bias on its coordinate; 0 where it is fixed."""
+    """Log prior density of a bias on its coordinate; 0 where it is fixed.
+
+    Nodes may lie beyond the coordinate's ends, where all stand for the same bias: the density falls
+    off there, as fast as splines through it bear.
+    """
     if not model.free_bias:
         return np.zeros(np.shape(coordinate))
     transform = model.bias_transform
     normal = -0.5 * transform.score(coordinate) ** 2 - 0.5 * np.log(2 * np.pi)
-    return np.asarray(normal + np.log(transform.slope(coordinate)))
+    first, last = transform.ends
+    beyond = np.maximum(np.maximum(first - coordinate, coordinate - last), 0.0)
+    return np.asarray(normal + np.log(transform.slope(coordinate)) - 0.5 * (beyond / FALL) ** 2)
 
 
 def least_bias_sds(model: WeberModel, d: Array, weight: Array, span: Array) -> Array:

@@ -8,8 +8,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import map_coordinates, spline_filter
+from scipy.special import ndtr
 
 from .._util.values import Array, Fields, Index
 from .axes import bias_at, bias_prior
@@ -83,32 +84,40 @@ class QuadraturePosterior(Fields):
         return values, cdf / cdf[-1], density / density.sum()
 
     def _bias_density(self, group: int) -> tuple[Array, Array]:
-        """Density of one bias: the mixture over k of its conditionals, each a spline."""
+        """One bias and the density of its coordinate, in which a long tail is short.
+
+        It is the mixture over k of its conditionals. Where a bias follows k closely they are
+        narrower than nodes of k are apart, so that their quantiles are interpolated to finer ones.
+        """
         blocks = self.grid.biases[group]
         most = max(block.mass.sum(axis=1).max() for block in blocks)
-        factor = 32  # finer than the nodes of one conditional, so that it fills the common axis
-        places, weights = [], []
+        probability = ndtr(np.linspace(-6.0, 6.0, 601))
+        rows, masses = [], []
         for nodes, mass in blocks:
             above = mass.sum(axis=1) > 1e-7 * most
-            if not above.any():
-                continue
-            count = nodes.shape[1]
-            finer = np.linspace(0, count - 1, factor * (count - 1) + 1)
             log_mass = np.log(np.maximum(mass[above], 1e-40))
-            weights.append(np.exp(CubicSpline(np.arange(count), log_mass, axis=1)(finer)).ravel())
-            score = nodes[above, :1] + (nodes[above, 1:2] - nodes[above, :1]) * finer
-            places.append(bias_at(self.model, score).ravel())
-        place, weight = np.concatenate(places), np.concatenate(weights)
-        keep = weight > 1e-12 * weight.max()
-        place, weight = place[keep], weight[keep]
+            finer = np.linspace(0, nodes.shape[1] - 1, 32 * (nodes.shape[1] - 1) + 1)
+            weight = np.exp(CubicSpline(np.arange(nodes.shape[1]), log_mass, axis=1)(finer))
+            below = np.cumsum(weight, axis=1) - 0.5 * weight
+            place = nodes[above, :1] + np.diff(nodes[above, :2]) * finer
+            for x, share in zip(place, below / weight.sum(axis=1, keepdims=True), strict=True):
+                rows.append(np.interp(probability, share, x))
+            masses.append(mass[above].sum(axis=1))
+        place, log_mass = np.stack(rows), np.log(np.concatenate(masses))
+        if len(place) > 3:
+            finer = np.linspace(0, len(place) - 1, 8 * (len(place) - 1) + 1)
+            place = PchipInterpolator(np.arange(len(place)), place)(finer)
+            log_mass = CubicSpline(np.arange(len(log_mass)), log_mass)(finer)
+        share = np.diff(probability, prepend=0.0, append=1.0)
+        weight = (np.exp(log_mass)[:, None] * 0.5 * (share[:-1] + share[1:])).ravel()
+        place = place.ravel()
         fine = np.linspace(place.min(), place.max(), 801)
-        # Each node's mass is shared between the two nearest points of the common axis.
+        # Each point's mass is shared between the two nearest of the common axis.
         at = (place - fine[0]) / (fine[1] - fine[0])
         left = np.minimum(at.astype(np.intp), fine.size - 2)
-        share = at - left
-        density = np.bincount(left, weight * (1 - share), fine.size)
-        density = density + np.bincount(left + 1, weight * share, fine.size)
-        return fine, density.astype(float)
+        density = np.bincount(left, weight * (1 - (at - left)), fine.size)
+        density = density + np.bincount(left + 1, weight * (at - left), fine.size)
+        return bias_at(self.model, fine), density.astype(float)
 
     def quantile(self, name: str, probability: ArrayLike) -> Array:
         values, cdf, _ = self._curve(name)
