@@ -2,7 +2,8 @@
 
     python analyses/weber_law.py [folder] [--short] [--sets N]
 
-Writes `weber_law.csv` and `weber_law.md` into this folder, or the one named. Observers compare
+Writes `weber_law.csv` and `weber_law.md` into this folder, or the one named; observers that the
+table has are not tested again, and each kind has as many before any has more. Observers compare
 durations about three standards; noise is a power of the duration (exponent 1 obeys), or has a
 floor; the first duration is drawn towards the mean of all by contraction, and answers are lost.
 """
@@ -20,7 +21,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 sys.path.insert(0, str(Path(__file__).parent))
-from command import markdown_table, options
+from command import markdown_table, options, resumed
 
 from weberwhisk import fit_weber
 from weberwhisk.behaviour import Trials, read_trials, weber_law_test
@@ -46,9 +47,8 @@ def observer(
     return read_trials(pd.DataFrame(table | answers), in_order=True)
 
 
-def observers(short: bool) -> list[dict[str, Any]]:
-    """What the observers are, a dictionary each."""
-    kinds = [
+def _kinds() -> list[dict[str, Any]]:
+    kinds: list[dict[str, Any]] = [
         {"exponent": 1.0, "floor": 0.0, "contraction": c, "lapse": lapse, "n": n}
         for n, c, lapse in product((360, 1080), (0.0, 0.5, 1.0, 1.5), (0.0, 0.02, 0.1))
     ]
@@ -57,40 +57,56 @@ def observers(short: bool) -> list[dict[str, Any]]:
         {"exponent": e, "floor": floor, "contraction": c, "lapse": 0.02, "n": 1080}
         for (e, floor), c in product(departing, (0.0, 0.5))
     ]
-    return kinds[::6] if short else kinds
+    return kinds
+
+
+KINDS = _kinds()
+WHICH = {tuple(kind.values()): number for number, kind in enumerate(KINDS)}  # for their seeds
+
+
+def observers(short: bool) -> list[dict[str, Any]]:
+    """What the observers are, a dictionary each."""
+    return KINDS[::6] if short else KINDS
+
+
+def tested(number: int, **kind: Any) -> dict[str, Any]:
+    """What the test says of one observer: NaN where it says nothing."""
+    start = time.process_time()
+    test = weber_law_test(fit_weber(observer(1000 * number + WHICH[tuple(kind.values())], **kind)))
+    silent = test.verdict.startswith("nothing")
+    return kind | {
+        "number": number,
+        "log_bayes_factor": np.nan if silent else test.log_bayes_factor,
+        "least_shown": test.least_shown,
+        "cpu_s": time.process_time() - start,
+    }
 
 
 def main() -> None:
-    """All observers, and the table of what the test said."""
+    """The observers that the table lacks, and what the test said of all."""
     asked = options(
         __file__, __doc__, folder=Path(__file__).parent, short="few observers, two each", sets=25
     )
-    sets = 2 if asked.short else asked.sets
-    rows = []
-    for number, kind in enumerate(observers(asked.short)):
-        start, said = time.process_time(), []
-        for i in range(sets):
-            test = weber_law_test(fit_weber(observer(1000 * number + i, **kind)))
-            silent = test.verdict.startswith("nothing")
-            said.append((np.nan if silent else test.log_bayes_factor, test.least_shown))
-        factor, shown = np.array(said).T
-        rows.append(
-            kind
-            | {
-                "tables": sets,
-                "decisive_against": np.mean(factor < -np.log(100)),
-                "strong_against": np.mean(factor < -np.log(10)),
-                "some_for": np.mean(factor > np.log(3)),
-                "nothing_said": np.mean(np.isnan(factor)),
-                "least_shown": np.median(shown),
-                "cpu_s": (time.process_time() - start) / sets,
-            }
-        )
-        print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
     asked.folder.mkdir(parents=True, exist_ok=True)
-    table.to_csv(asked.folder / "weber_law.csv", index=False, float_format="%.4g")
-    (asked.folder / "weber_law.md").write_text(page(table), "utf-8")
+    kinds, sets = observers(asked.short), 2 if asked.short else asked.sets
+    designs = [kind | {"number": number} for number in range(sets) for kind in kinds]
+    rows = resumed(asked.folder / "weber_law.csv", tested, designs)
+    (asked.folder / "weber_law.md").write_text(page(summary(rows)), "utf-8")
+
+
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a kind of observers."""
+    kinds = rows.groupby(list(KINDS[0]), sort=False)
+    factor = kinds["log_bayes_factor"]
+    return pd.DataFrame({
+        "tables": kinds.size(),
+        "decisive_against": factor.agg(lambda f: np.mean(f < -np.log(100))),
+        "strong_against": factor.agg(lambda f: np.mean(f < -np.log(10))),
+        "some_for": factor.agg(lambda f: np.mean(f > np.log(3))),
+        "nothing_said": factor.agg(lambda f: np.mean(np.isnan(f))),
+        "least_shown": kinds["least_shown"].median(),
+        "cpu_s": kinds["cpu_s"].mean(),
+    }).reset_index()  # fmt: skip
 
 
 def page(table: pd.DataFrame) -> str:
@@ -105,7 +121,7 @@ def page(table: pd.DataFrame) -> str:
             "",
             "Made by `weber_law.py`. Shares of tables are in per cent; `least_shown` is the",
             "departure of the exponent from 1 that the tables would show with strong evidence one",
-            "time in two, the median over tables; `floor` is in ms.",
+            "time in two, the median over tables (inf: none); `floor` is in ms.",
             "",
             f"Of {int(obey['tables'].sum())} observers who obey, with contraction of 0 to 1.5 and",
             f"lapses of 0 to 10 %, {100 * against:.1f} % are said decisively to break the law.",
