@@ -34,3 +34,11 @@ def test_a_search_of_tails_finds_nothing_wrong_in_silence(tails: Any, search_see
     sure = rows[(rows["left"] < tails.SURE) & (rows["status"] == "CONVERGED")]
     assert len(sure) > 40
     assert sure[sure["bar"] > 1].empty, sure[sure["bar"] > 1].to_string()
+
+
+def test_the_kept_table_has_nothing_wrong_in_silence(tails: Any) -> None:
+    rows = pd.read_csv(tails.TABLE)
+    of_kind = tails.summary(rows).set_index("kind")
+    assert (of_kind.loc[list(tails.KINDS), "readings"] >= 15).all()
+    assert of_kind.loc["all", "silently wrong"] == 0
+    assert of_kind.loc["all", "at an edge"] >= 0.25 * of_kind.loc["all", "readings"]
