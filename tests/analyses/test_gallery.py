@@ -126,6 +126,7 @@ def array_of(*names: str, **how: object) -> ww.ArrayObserver:
     return ww.ArrayObserver(array, **how)
 
 
+@pytest.mark.slow
 def test_a_map_is_that_of_the_posterior_region() -> None:
     """Not by Fisher information: the area of the 95 % region, where noise is small."""
     o = array_of("C2", "D2", "C3", noise=Weber(0.03))

@@ -84,6 +84,7 @@ def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
 
 
 @pytest.mark.parametrize("part", slow_but(script.DESIGNS, (1,)))
+@pytest.mark.slow
 def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
     """Of lapses less than the default before; and half as wide a prior of k loses less where the
     animals were laid out, and far more once they are moved, with their levels, to k about 0.5."""

@@ -161,7 +161,7 @@ def around(found: ww.array.Place, sds: float = 7.0) -> Any:
             ([28e-3, 0.0], 0.0, 0.3),
             ([16e-3, -2e-3], 3.0, 0.3),
         ],
-        (1, 2),
+        (2,),
     ),
 )
 def test_place_is_that_of_brute_force(place: Any, angle_sd: float, k: float) -> None:

@@ -89,7 +89,8 @@ def test_constant_noise_is_a_cause_of_its_own() -> None:
 
 
 def test_two_causes_are_found_together() -> None:
-    trials = observed((of.Contraction(), 0.4), (of.SessionBias(), 0.7), trials_per_level=15)
+    both = (of.Contraction(), 0.4), (of.SessionBias(), 0.7)
+    trials = observed(*both, standards=[1.0, 2.25], trials_per_level=20)
     fit = fit_weber(trials)
     chosen = fit.search.chosen
     assert {cause.name for cause in chosen.causes} == {"contraction", "session_bias"}

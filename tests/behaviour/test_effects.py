@@ -265,6 +265,7 @@ def coverage(count: int) -> tuple[int, int]:
     return covered[0], covered[1]
 
 
+@pytest.mark.slow  # of coverage: `tests/atlas/test_coverage.py`
 def test_scatter_widens_the_interval() -> None:
     with_it, _ = coverage(12)
     assert with_it >= 9  # fewer once in 500 at 95 %

@@ -205,6 +205,7 @@ def judge(errors: np.ndarray, covered: float, per_level: int = 33) -> None:
     assert stats.binomtest(round(covered * n), n, 0.95).pvalue > 0.005
 
 
+@pytest.mark.slow  # of coverage: `tests/atlas/test_coverage.py`
 def test_recovery_and_coverage() -> None:
     judge(*recover(30, 40_000))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 import scipy
 from scipy import stats
 
@@ -59,6 +60,7 @@ def test_a_whisker_is_described() -> None:
     assert "receptors LogNormal. " in text
 
 
+@pytest.mark.slow  # of methods: what is read off a population, `test_populations.py`
 def test_a_population_is_described() -> None:
     trials = _read("animals_six.csv").select(subject=["s1", "s2", "s3"])
     found = ww.fit_population(trials, check=False)

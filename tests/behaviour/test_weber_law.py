@@ -131,6 +131,7 @@ def test_levels_of_unknown_unit_have_a_law_of_constant_noise(slope: float) -> No
 
 
 @pytest.mark.parametrize("sets", slow_but([12, 24], (0,)))
+@pytest.mark.slow
 def test_the_least_departure_shown_is_that_of_half_the_data_sets(sets: int) -> None:
     """Of observers that depart so far, some half give strong evidence, and fewer decisive.
 
@@ -147,6 +148,7 @@ def test_the_least_departure_shown_is_that_of_half_the_data_sets(sets: int) -> N
     assert abs(sum(shown) - sets / 2) <= 2.5 * np.sqrt(sets / 4)  # sds of a binomial
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_the_model_does_not_hold() -> None:
     """Streaks of guesses are no noise of any exponent."""
     trials = observed(4, each=80)

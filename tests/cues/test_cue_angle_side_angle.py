@@ -110,7 +110,7 @@ def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small(side_sd)
     assert np.all(np.abs(table["estimator"] - scatter) < 4 * table["estimator_error"])
 
 
-@pytest.mark.parametrize("cue", [CUES[0], CUES[2]], ids=repr)
+@pytest.mark.parametrize("cue", slow_but([CUES[0], CUES[2]], (1,)), ids=repr)
 def test_the_posterior_is_the_brute_force_integral(cue):
     observer = ww.Observer(W, cue)
     truth = [15e-3, 1.4]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from cue_checks import moments_by_midpoints
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -91,7 +92,7 @@ def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small():
     )
 
 
-@pytest.mark.parametrize("cue", [KNOWN, LATE], ids=repr)
+@pytest.mark.parametrize("cue", slow_but([KNOWN, LATE], (1,)), ids=repr)
 def test_the_posterior_is_the_brute_force_integral(cue):
     observer = ww.Observer(W, cue)
     for share in (0.2, 0.9):

@@ -192,6 +192,7 @@ def test_perfectly_correlated_noise_has_a_jnd_but_no_posterior():
         ww.posterior(observer, observer.signals([25e-3, 0.1])[0])
 
 
+@pytest.mark.slow  # of walkers: `test_emcee_hard_cases.py`
 def test_walkers_never_start_outside_the_support():
     """emcee accepts walkers at −∞ in silence and leaves them there."""
     observer = ww.Observer(W, ForceMap(), Weber(0.1))

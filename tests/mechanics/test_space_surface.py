@@ -33,10 +33,10 @@ def test_signals_and_ends_are_those_of_the_rod_itself(friction):
     surface = in_space(friction)
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
-    r = surface.reach * rng.uniform(0.02, 0.995, 24)
-    azimuth = rng.uniform(-np.pi, np.pi, 24)
+    r = surface.reach * rng.uniform(0.02, 0.995, 12)
+    azimuth = rng.uniform(-np.pi, np.pi, 12)
     last = surface.limit(r, azimuth)
-    push = last * np.append(rng.uniform(0.01, 0.99, 12), [0.999] * 12)
+    push = last * np.append(rng.uniform(0.01, 0.99, 6), [0.999] * 6)
     found, outcome = surface(r, push, azimuth)
     exact, held = pressed(W, r, push, azimuth, friction=friction)
     assert (outcome == Outcome.HELD).all()
@@ -73,6 +73,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
     ("azimuth", "sign", "friction"),
     slow_but([(np.pi, -1, 0.0), (0.0, 1, 0.0), (np.pi, -1, 0.3), (0.0, 1, -0.3)], quick=range(1)),
 )
+@pytest.mark.slow  # of the rod: above
 def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction):
     """Pushed against its curvature it is the whisker of the other sign, upside down."""
     surface = in_space(friction)

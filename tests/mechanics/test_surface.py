@@ -71,7 +71,7 @@ def test_a_friction_that_is_given_is_that_of_the_table():
             (2.84, 0.7, 0.138, None),
             (1.63, 9.6, None, (-0.2, 0.2)),
         ],
-        (0, 3),
+        (3,),
     ),
 )
 def test_the_limit_of_a_rubbing_whisker_ends_where_its_tip_slips_off(

@@ -7,6 +7,7 @@ import pytest
 from integrators import follow
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from short_forms import slow_but
 
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.contact import Outcome
@@ -33,6 +34,7 @@ def test_a_peg_is_press_at_every_angle():
     assert np.all(np.isnan(s.bending.moment[[0, 5]]))
 
 
+@pytest.mark.slow  # of such whiskers: `test_track.py`
 def test_a_curved_whisker_and_friction_at_a_peg():
     w = CURLED
     x, y = 30e-3 * np.cos(-0.4), 30e-3 * np.sin(-0.4)
@@ -80,6 +82,7 @@ def test_a_wall_is_met_with_the_tip_then_with_the_flank():
     assert np.all(np.diff(s.bending.arc_length[flank]) < 0)
 
 
+@pytest.mark.slow  # of the tip: a wall, below
 def test_a_round_object_beyond_the_flanks_reach_is_met_with_the_tip():
     """It was not met at all: no point of the arc that was looked at was the tip's."""
     distance, radius, length = 52e-3, 5e-3, W.length
@@ -229,11 +232,14 @@ def test_a_base_that_travels_past_a_peg_is_press_at_every_place(friction):
 
 @pytest.mark.parametrize(
     ("body", "whisker", "span"),
-    [
-        (cylinder(25e-3, -5e-3, 5e-3), W, 9e-3),
-        (cylinder(25e-3, -12e-3, 5e-3), CURLED, 3e-3),
-        (wall(50e-3, 0.0, np.pi / 3), W, 1.5e-3),
-    ],
+    slow_but(
+        [
+            (cylinder(25e-3, -5e-3, 5e-3), W, 9e-3),
+            (cylinder(25e-3, -12e-3, 5e-3), CURLED, 3e-3),
+            (wall(50e-3, 0.0, np.pi / 3), W, 1.5e-3),
+        ],
+        (1,),
+    ),
 )
 def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker, span):
     """∫ Fy dy beside ½ ∫ (EI (κ − κ₀)²) ds along the whisker, drawn by SciPy."""

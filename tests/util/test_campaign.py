@@ -157,7 +157,7 @@ def test_killed_outright_and_resumed(tmp_path: Path) -> None:
     assert set(again) == set(range(24)) - kept
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_an_exception_names_its_chunk_and_can_be_mended(tmp_path: Path, workers: int) -> None:
     out, mended = tmp_path / "s", tmp_path / "mended"
     chunks = logged(tmp_path, 9, mended=str(mended))

@@ -165,7 +165,7 @@ def distance(k: float, r0: float, *, count: int, width: float, seed: int) -> tup
 
 
 @pytest.mark.parametrize("width", [0.3, 1.5])
-@pytest.mark.parametrize("k", [0.3, 0.5])
+@pytest.mark.parametrize("k", [0.3, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_no_wrong_sd_passes_on_the_shelf_near_the_tip(k: float, width: float) -> None:
     density, start, _, sd = distance(k, 0.95, count=60, width=width, seed=8)
     # A run at which most are wrong (in r, where the shelf weighs most): none may pass.

@@ -121,26 +121,21 @@ def test_posteriors(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pd.testing.assert_frame_equal(there.summary(), alone.summary())
 
 
+FEW = ["design", "--standard-mm", "10,30", "--level", "1,2", "--trials", "4", "--runs", "8",
+       "--json", "--find", "nothing"]  # fmt: skip
+
+
+@pytest.mark.slow  # of power: as Python has it, above
 def test_the_command(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:
-    few = [
-        "--standard-mm",
-        "10,30",
-        "--level",
-        "1,2",
-        "--trials",
-        "4",
-        "--runs",
-        "8",
-        "--json",
-        "--find",
-        "nothing",
-    ]
     answers = []
     for how in (["--workers", "1"], ["--scheduler", cluster]):
-        assert run_app(app, ["design", *few, *how]) == 0
+        assert run_app(app, [*FEW, *how]) == 0
         answers.append(json.loads(capsys.readouterr().out))
     assert answers[1] == answers[0]
-    assert run_app(app, ["design", *few, "--scheduler", cluster, "--workers", "2"]) == 2
+
+
+def test_workers_of_a_cluster_are_its_own(cluster: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(app, [*FEW, "--scheduler", cluster, "--workers", "2"]) == 2
     assert capsys.readouterr() == (
         "",
         "weberwhisk: a cluster has its own workers, got --workers 2 with a scheduler; leave one "
