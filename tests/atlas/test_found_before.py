@@ -222,6 +222,7 @@ def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:
     assert ww.press(whisker, distance, angle, friction, model="rod").outcome == Outcome.FLICKED_PAST
 
 
+@pytest.mark.slow
 def test_the_rod_flicks_past_sideways() -> None:
     """Of a curved whisker bent back, with friction: in its plane it is held, in space it is not.
 

@@ -77,6 +77,7 @@ def test_the_cause_that_made_the_answers_is_first(name: str) -> None:
     assert f"The answers show {words} ({name} " in fit.report()
 
 
+@pytest.mark.slow  # of constant noise: `test_comparison.py`
 def test_constant_noise_is_a_cause_of_its_own() -> None:
     fit = fit_weber(observed(noise="constant", trials_per_level=60))
     assert fit.causes.index[0] == "constant noise"

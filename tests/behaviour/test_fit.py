@@ -304,6 +304,7 @@ def biased() -> WeberFit:
 
 
 @pytest.mark.usefixtures("few_draws")
+@pytest.mark.slow  # of options: `test_misfit.py`
 def test_a_remedy_keeps_the_encoding_and_priors_of_the_fit(biased: WeberFit) -> None:
     """The line that was given left out an encoding and priors of one's own."""
     given = {"priors": {"lapse_low": 0.02}, "encoding": LogEncoding()}

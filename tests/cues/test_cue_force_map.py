@@ -86,6 +86,7 @@ def test_the_moment_is_inverted_at_a_known_angle():
 
 
 @pytest.mark.parametrize("cue", slow_but([PAIRS[1], KNOWN[0], KNOWN[1], ALL], (3,)), ids=repr)
+@pytest.mark.slow  # of the force map: `tests/inference`
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue, replace(default_noise(W, cue), correlation=0.3))
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))

@@ -121,6 +121,7 @@ def test_power_is_that_of_a_brute_force_simulation(truth):
     check_brute_force((0.3, 0.6, 0.9), 5, truth, 12, 256)
 
 
+@pytest.mark.slow
 def test_standards_close_together_tell_next_to_nothing():
     found = [
         ww.power(design(p, 20), (TAPERED, CYLINDRICAL), expected=ALIKE, runs=64).table["power"]

@@ -50,6 +50,7 @@ def found(plan: Plan, stream: Path) -> Power:
     return simulate_study(plan, 3, seed=2, out=stream)
 
 
+@pytest.mark.slow  # of going on: `tests/util/test_campaign.py`
 def test_a_rehearsal_is_the_same_again_and_goes_on_where_it_was(
     plan: Plan, found: Power, stream: Path, tmp_path: Path
 ) -> None:

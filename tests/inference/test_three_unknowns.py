@@ -138,6 +138,7 @@ def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
     ],
     ids=["ridge tens of widths off", "ridge bent", "wide noise", "coarse"],
 )
+@pytest.mark.slow
 def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contact, off):
     """0.1, 0.09, 0.02 and 0.014 sd off, with 0.004, 0.001, 0.006 and 0.003 claimed.
 

@@ -151,6 +151,7 @@ def test_the_ridge_that_was_half_a_per_cent_off():
 
 
 @pytest.mark.parametrize("k", [0.03, pytest.param(0.1, marks=pytest.mark.slow)])
+@pytest.mark.slow  # of fusions: `test_cue_fused.py`
 def test_fusions_miss_no_mode(k):
     """Force map and vibration of a blunt whisker: r was 6 sd off and converged."""
     map_, vibration = ForceMap(), Vibration(3)
@@ -173,7 +174,12 @@ def test_fusions_miss_no_mode(k):
             (0.1, 0.3),
             marks=pytest.mark.slow,
         ),
-        ({"deflection_angle": stats.beta(2, 0.5, 0.1, 0.2)}, (0, 50e-3), (0.1, 0.3)),
+        pytest.param(
+            {"deflection_angle": stats.beta(2, 0.5, 0.1, 0.2)},
+            (0, 50e-3),
+            (0.1, 0.3),
+            marks=pytest.mark.slow,
+        ),
         # Sharper than the first boxes: no reading, no contacts, or 13 sd off.
         ({"radial_distance": stats.norm(31e-3, 1e-4)}, (30.4e-3, 31.6e-3), (0, 0.7)),
         pytest.param(

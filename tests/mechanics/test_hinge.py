@@ -195,6 +195,7 @@ def test_what_a_shape_at_rest_does_in_space_to_a_whisker_on_a_hinge_is_unknown()
     assert ww.Observer(mouse, cues.SpaceMap()).note.endswith("does to this cue is unknown")
 
 
+@pytest.mark.slow
 def test_a_muscle_turns_a_whisker_on_a_hinge():
     """By as much more as the hinge gives: the same moment at a larger angle."""
     cue, r = cues.BalanceOfMoments(effort=None), np.array([15e-3, 25e-3])

@@ -159,6 +159,7 @@ def test_every_outcome_of_figure_3c_by_plain_sampling(curve, whisker):
 
 
 @pytest.mark.parametrize("share", [0.7])
+@pytest.mark.slow  # of the fold: `test_profile.py`
 def test_the_fold_and_the_moment_peak_end_the_two_kinds_of_flick_past(share):
     """Imposed angle: the largest angle of any force. Limited moment: the largest moment."""
     r, most = share * W.length, 700 if share == 0.5 else 200

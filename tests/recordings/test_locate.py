@@ -305,6 +305,7 @@ def test_touches_are_named_in_every_row() -> None:
     assert again["touch_sd_mm"][:4].equals(found["touch_sd_mm"][:4])
 
 
+@pytest.mark.slow
 def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side() -> None:
     """Pushed from both sides, a whisker with hardly a curve gives what a straight one does."""
     b = ww.press(KNOWN, 16e-3, np.linspace(0.1, 0.4, 4))
@@ -506,6 +507,7 @@ def test_one_row_a_contact_leaves_the_noise_as_believed() -> None:
         assert found.loc[2, name] == pytest.approx(alone.loc[2, name], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_shape_at_rest_that_nobody_gave_is_mixed_over() -> None:
     """Beside posteriors of whiskers of many curvatures, weighed by prior and evidence."""
     unsaid = ww.Whisker(C2.length, C2.base_radius, C2.tip_radius, youngs_modulus=3e9)
