@@ -25,6 +25,7 @@ def study() -> ModuleType:
 
 
 @pytest.mark.parametrize("kind", ["reset", "rates"])
+@pytest.mark.slow
 def test_simulated_states_last_and_are_shared(study: ModuleType, kind: str) -> None:
     rng = np.random.default_rng(1)
     shares = [np.mean(study.states_of(kind, 1000, rng) == 0) for _ in range(60)]

@@ -78,6 +78,7 @@ def test_rungs_that_model_all_there_is_agree(either: tuple[pd.DataFrame, pd.Data
     assert (straight.loc[straight["model"] == costs.NAMES[2], "bias_worst"] < 1e-6).all()
 
 
+@pytest.mark.slow
 def test_the_force_on_a_tip_is_tilted_as_the_wall_is() -> None:
     """A tip on a wall feels the wall's normal, pressed again as friction would tilt it."""
     kind = costs.KINDS[0]

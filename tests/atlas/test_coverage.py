@@ -84,6 +84,7 @@ def test_of_two_thousand_intervals_93_5_to_96_5_per_cent_cover(name):
     ("name", "n"),
     [("tap", 200), *(pytest.param(n, 2000, marks=pytest.mark.slow) for n in LAYERED)],
 )
+@pytest.mark.slow
 def test_intervals_cover_whatever_else_is_unknown(name, n):
     observer = layered_observer(name, 0.1)
     share = coverage(observer, prior_draws(observer, n, seed=1), seed=2)

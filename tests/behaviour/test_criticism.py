@@ -118,6 +118,7 @@ def test_each_trouble_is_seen_by_its_check(trouble: str) -> None:
     assert table.loc[trouble, "remedy"]
 
 
+@pytest.mark.slow
 def test_the_intraclass_correlation_is_estimated() -> None:
     rho, cells, n = 0.1, 150, 40
     rng = np.random.default_rng(6)

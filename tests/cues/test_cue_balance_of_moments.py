@@ -104,6 +104,7 @@ def test_the_posterior_is_the_brute_force_integral(cue):
         assert p.sd == pytest.approx(sd, rel=1e-4)
 
 
+@pytest.mark.slow  # of balances: above
 def test_the_posterior_with_a_felt_effort_is_the_brute_force_integral():
     observer = ww.Observer(W, FELT)
     reading = observer.read([25e-3, 0.1], seed=4)

@@ -131,6 +131,7 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
 
 
 @pytest.mark.parametrize("animals", [30, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.slow  # of coverage: `test_power.py`
 def test_intervals_hold_the_truth_as_often_as_they_say(animals: int) -> None:
     """Animals drawn from the very priors of the fit.
 

@@ -86,6 +86,7 @@ def test_friction_and_curvature_that_are_unknown_are_axes_of_the_surface():
             assert row == pytest.approx(true, abs=5e-5 * np.hypot(*true[1:]))
 
 
+@pytest.mark.slow
 def test_whiskers_of_other_stiffness_share_a_surface():
     r, push = np.array([10e-3, 30e-3]), np.array([0.1, 0.2])
     plain, other = whisker(), replace(whisker(), youngs_modulus=0.9e9)
@@ -255,6 +256,7 @@ def test_intervals_hold_the_distance_in_2000_draws(curvature, floor):
     ],
     ids=repr,
 )
+@pytest.mark.slow  # of coverage: `tests/atlas/test_coverage.py`
 def test_intervals_hold_the_distance_where_curvature_or_friction_is_not_known(cue, count, off):
     """2000 draws to 1.5 %, fewer to three standard errors; contacts lost were drawn, too."""
     w = whisker(20, 8.0)

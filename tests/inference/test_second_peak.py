@@ -1,6 +1,7 @@
 """Posteriors of several unknowns with a second peak: none is missed."""
 
 import numpy as np
+import pytest
 from cue_checks import brute_force
 
 import weberwhisk as ww
@@ -15,6 +16,7 @@ CUE = Fused(Vibration(2), ForceMap())
 OBSERVER = ww.Observer(W, CUE, CUE.joint(Weber(0.1), Weber(1.5)))
 
 
+@pytest.mark.slow  # of modes: `test_tree.py`
 def test_no_second_peak_is_missed():
     """A climb from one place found the wrong one of two peaks, and at best could say so."""
     readings = OBSERVER.read(prior_draws(OBSERVER, 8, seed=1), seed=2)[::2]

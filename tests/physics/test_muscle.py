@@ -56,6 +56,7 @@ def pull(angle, w=1.25):
     return cross / np.hypot(*lever) / np.hypot(*muscle)
 
 
+@pytest.mark.slow  # of figure 3b: `test_paper_figures.py`
 def test_the_curve_of_figure_3b_ends_where_the_two_curves_touch():
     """Where the smallest excess of muscle over whisker is zero, by SciPy: r = 0.697 L."""
 

@@ -222,6 +222,7 @@ FALSE_ZEROS = [  # r/L, θ_d and α in degrees where the moment peaks at that di
 
 
 @pytest.mark.parametrize(("share", "degrees", "alpha"), slow_but(FALSE_ZEROS, (0,)))
+@pytest.mark.slow
 def test_results_are_similar_in_both_cases_only_up_to_a_false_zero(share, degrees, alpha):
     """§3c, noise in Fx alone: the linear JND is zero where ∂M/∂θ_d = 0, and rises beyond.
 

@@ -284,6 +284,7 @@ def test_columns_of_distance_and_slope_by_any_name(
     assert "The model fits" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_fits_is_said_of_what_was_tested_alone() -> None:
     """Distances jittered by 0.01 mm are repeats; without repeats a misfit cannot be told."""
     rng = np.random.default_rng(2)

@@ -50,6 +50,7 @@ def test_shapes_are_those_of_the_planar_beam() -> None:
 @pytest.mark.parametrize(
     ("seeds", "frames"), [([1], 80), pytest.param(range(20), 200, marks=pytest.mark.slow)]
 )
+@pytest.mark.slow  # of a scene: with its pole, below
 def test_a_session_gives_back_its_distances(seeds: list[int], frames: int) -> None:
     """The bar: within 0.5 mm in the median, and 95 % intervals that contain 92 to 98 %."""
     errors, covered, alarms = [], [], []

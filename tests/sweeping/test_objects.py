@@ -104,6 +104,7 @@ def test_an_object_that_the_sweep_does_not_reach_is_out_of_reach():
 
 
 @pytest.mark.parametrize("radius", [5e-3, pytest.param(12e-3, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_fold_at_a_cylinder_is_the_largest_rotation_of_any_tangent_whisker(radius):
     """All whiskers tangent to the circle, found one force at a time by SciPy, know no path."""
     centre = np.array([30e-3, -1e-3 - radius])
