@@ -106,6 +106,7 @@ def test_3b_the_curve_ends_at_around_70_per_cent(curve, end):
     assert round(found, 4) == end
 
 
+@pytest.mark.slow
 def test_3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above():
     share = np.linspace(0.3, 0.98, 25)
     impact = np.radians(np.linspace(30, 149, 41))

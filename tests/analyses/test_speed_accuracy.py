@@ -96,6 +96,7 @@ def test_every_tool_fits_the_same_data_sets(monkeypatch: pytest.MonkeyPatch) -> 
     assert table["error_se"].to_numpy() == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_cubature_and_the_papers_interpolation_are_as_good_as_their_knobs(
     beam_table: pd.DataFrame,
 ) -> None:
@@ -130,6 +131,7 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
     assert two["closed form"] > 0.1
 
 
+@pytest.mark.slow
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
     names = "beams", "posteriors", "jnds", "fits", "growth"
     kept = Path(__file__).parents[2] / "analyses" / "figures"

@@ -296,6 +296,7 @@ def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() ->
     assert "whiskers; no contact; no whisker touches: 94 % of the region" in nowhere
 
 
+@pytest.mark.slow
 def test_information_predicts_the_spread_of_posteriors() -> None:
     o = observer("C2", "C3", "D3", noise=receptors.Weber(0.02), angle_sd=np.radians(0.2))
     place = np.array([16e-3, -1e-3])

@@ -326,6 +326,7 @@ def test_the_referee_does_not_step_over_to_another_contact() -> None:
         (0, 2),
     ),
 )
+@pytest.mark.slow
 def test_a_ridge_that_grows_thinner_does_not_pass_between_nodes(
     name: str, distance: float, push: float, off: list[float]
 ) -> None:

@@ -203,6 +203,7 @@ def test_pooling_draws_animals_together_and_errs_less() -> None:
 
 
 @pytest.mark.parametrize("unit", slow_but([1e-6, 1e6], (0,)))
+@pytest.mark.slow
 def test_the_unit_does_not_matter(unit: float) -> None:
     trials, _ = animals(3)
     scaled, _ = animals(3, standards=[1.0 * unit, 2.0 * unit])

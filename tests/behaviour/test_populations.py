@@ -233,6 +233,7 @@ def test_with_known_lapses_the_animals_are_those_of_single_fits_at_a_wide_spread
         assert row["weber_fraction"] == pytest.approx(one.weber_fraction, rel=0.01)
 
 
+@pytest.mark.slow
 def test_draws_of_animals_have_their_weights() -> None:
     fit = fit_population(simulate_population(3, trials_per_level=10, seed=1)[0], check=False)
     assert fit.population is not None

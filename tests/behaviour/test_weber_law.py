@@ -95,6 +95,7 @@ def test_the_law_is_judged_by_what_made_the_choices(contraction: float, bias: st
         assert breaks.by_standard["weber_fraction"].is_monotonic_increasing
 
 
+@pytest.mark.slow
 def test_constant_noise_is_an_exponent_of_zero() -> None:
     trials = simulate_trials(
         encoding=ConstantNoise(IdentityEncoding(), 2.0), weber_fraction=0.12,

@@ -124,6 +124,7 @@ def errors_of_random_readings(name, k, count, seed, fine=450):
 @pytest.mark.parametrize(
     ("name", "k"), slow_but([("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)], (1,))
 )
+@pytest.mark.slow  # of errors: the audits
 def test_no_number_is_off_by_more_than_promised(name, k):
     off = errors_of_random_readings(name, k, 5, 7)
     assert len(off) > 3

@@ -104,6 +104,7 @@ def test_the_curve_is_the_triangle_and_goes_on_through_128_7_degrees(w):
     assert np.allclose(jumps, curve) == (w >= 2)
 
 
+@pytest.mark.slow
 def test_either_scale_gives_the_same_balance_on_its_own_gain():
     share = np.linspace(0.3, 0.99, 24)
     for impact in np.radians(np.linspace(30, 149, 9)):

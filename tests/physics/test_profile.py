@@ -196,6 +196,7 @@ def test_folds_of_the_theory_notes():
         quick=(1,),
     ),
 )
+@pytest.mark.slow
 def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):
     """Held just before it, flicked past just after, and a scan of the loads finds no larger."""
     w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=curvature)

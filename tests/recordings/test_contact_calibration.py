@@ -206,6 +206,7 @@ def test_two_gross_taps_of_two_hundred_are_named_and_spoil_nothing(off: float) -
     assert "k would be" in found.message
 
 
+@pytest.mark.slow
 def test_a_touch_shares_one_calibration() -> None:
     """By hand, on a plain grid of distances: the mean over draws of the density of the rows."""
     found = ww.calibrate(_taps(each=2, seed=5), NOMINAL)

@@ -142,6 +142,7 @@ def test_errors_of_the_first_point_along_the_whisker_count_and_movement_does_not
     assert any("first points" in note for note in found.attrs["notes"]) == slip
 
 
+@pytest.mark.slow
 def test_the_middle_of_a_thick_pole_lies_behind_the_contact() -> None:
     video, truth = _scene(2, [15e-3], frames=50, noise_px=0.1)
     middle = truth[["pole_x", "pole_y"]].to_numpy() @ [1, 1j]

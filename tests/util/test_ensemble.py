@@ -112,6 +112,7 @@ def test_precision_is_met_and_errors_are_honest(dim: int) -> None:
     assert np.all(fit.rhat < 1.01)
 
 
+@pytest.mark.slow
 def test_the_seed_decides_every_bit_and_nothing_else_does() -> None:
     first = gaussian_run(5, 2, seed=1)
     state = np.random.get_state()  # noqa: NPY002
