@@ -33,7 +33,7 @@ def test_no_seed_changes_a_status_near_a_threshold() -> None:
 
 
 def test_a_check_near_its_threshold_is_noted() -> None:
-    fit = fit_weber(near_table(5))
+    fit = fit_weber(near_table(281))
     assert is_near(fit.checked.loc["repetition", "p"], threshold(fit.checked))
     assert fit.checked.loc["repetition", "replicates"] == 8000
     assert sum("is near its threshold" in note for note in fit.notes) == 1
