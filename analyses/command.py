@@ -100,9 +100,19 @@ def resumed(
     one: Callable[..., dict[str, Any]],
     designs: Iterable[dict[str, Any]],
     digits: int = 5,
+    columns: Sequence[str] = (),
 ) -> pd.DataFrame:
-    """A row a design, by `one`: those that the table has, and the others, each kept once made."""
-    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    """A row a design, by `one`: those that the table has, and the others, each kept once made.
+
+    A table that lacks what designs have, or further columns, is another's: the script ends with a
+    sentence, and the table stays as it is.
+    """
+    designs, rows = list(designs), []
+    if path.exists():
+        try:
+            rows = kept([*next(iter(designs), {}), *columns], path).to_dict("records")
+        except argparse.ArgumentTypeError as error:
+            raise SystemExit(str(error)) from error
     for design in designs:
         if not any(design.items() <= row.items() for row in rows):
             rows.append(one(**design))  # type: ignore[arg-type]

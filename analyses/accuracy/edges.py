@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from scipy.optimize import brentq
 from truth import log_likelihood
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from command import kept, resumed
+from command import resumed
 
 import weberwhisk as ww
 from weberwhisk import cues, receptors
@@ -251,31 +252,30 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(out)
 
 
-def main() -> None:
-    """Judge the readings that the table lacks, and print what is found."""
+def search(
+    judged: Callable[..., dict[str, Any]], doc: str, table: Path, count: int, seeds: list[int]
+) -> None:
+    """Judge the cases that the table lacks, and print what is found; `doc` is the script's, and the
+    table, how many cases of a seed and the seeds may be said otherwise."""
     parser = argparse.ArgumentParser(
-        description=inspect.cleandoc(__doc__ or ""),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description=inspect.cleandoc(doc), formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", type=Path, nargs="?", default=TABLE)
-    parser.add_argument("--count", type=int, default=300, help="readings of a seed")
-    parser.add_argument("--seed", type=int, nargs="+", default=[20261128, 20261129])
+    parser.add_argument("table", type=Path, nargs="?", default=table)
+    parser.add_argument("--count", type=int, default=count, help=f"of a seed; by default {count}")
+    parser.add_argument("--seed", type=int, nargs="+", default=seeds)
     given = parser.parse_args()
     if given.count < 1:
-        parser.error(f"--count must be at least 1, not {given.count}; write 300, say")
-    if given.table.exists():
-        try:
-            kept(["index", "seed", "kind", "edge", "status", "left", "bar"], given.table)
-        except argparse.ArgumentTypeError as error:
-            parser.error(str(error))
+        parser.error(f"--count must be at least 1, not {given.count}; write {count}, say")
     designs = [{"index": i, "seed": seed} for seed in given.seed for i in range(given.count)]
-    table = resumed(given.table, judged, designs, digits=4)
-    print(summary(table).to_string(index=False, float_format="{:.3g}".format))
-    worst = table[(table["bar"] > 1) & (table["left"] < SURE)]
+    rows = resumed(
+        given.table, judged, designs, digits=4, columns=["kind", "edge", "status", "left", "bar"]
+    )
+    print(summary(rows).to_string(index=False, float_format="{:.3g}".format))
+    worst = rows[(rows["bar"] > 1) & (rows["left"] < SURE)]
     if len(worst):
         print("\nBeyond the bars (`bar` is how many times):")
         print(worst.to_string(index=False, float_format="{:.3g}".format))
 
 
 if __name__ == "__main__":
-    main()
+    search(judged, __doc__ or "", TABLE, 300, [20261128, 20261129])

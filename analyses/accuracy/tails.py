@@ -1,6 +1,6 @@
 """Fits with long tails and animals of two states, beside plain sums: which are wrong in silence?
 
-    python analyses/accuracy/tails.py [table] [--count 100] [--seed 20261129 20261130]
+    python analyses/accuracy/tails.py [table] [--count 60] [--seed 20261129]
 
 Appends a row a fit to `tails.csv`, and prints a row a kind; what the table has is not made again.
 The kinds: noise with a floor, which leaves a long left tail of the Weber fraction k; same or
@@ -23,22 +23,16 @@ end.
 
 from __future__ import annotations
 
-import argparse
-import inspect
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from edges import ENDS, MOMENTS, SURE, summary
+from edges import ENDS, MOMENTS, SURE, search
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, xlog1py, xlogy
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from command import kept, resumed
 
 import weberwhisk as ww
 from weberwhisk.behaviour import Trials, effects, read_trials
@@ -263,31 +257,5 @@ def judged(index: int, seed: int) -> dict[str, Any]:
             "status": status, "claim": claim, "left": left, **worst}  # fmt: skip
 
 
-def main() -> None:
-    """Judge the fits that the table lacks, and print what is found."""
-    parser = argparse.ArgumentParser(
-        description=inspect.cleandoc(__doc__ or ""),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("table", type=Path, nargs="?", default=TABLE)
-    parser.add_argument("--count", type=int, default=100, help="fits of a seed")
-    parser.add_argument("--seed", type=int, nargs="+", default=[20261129, 20261130])
-    given = parser.parse_args()
-    if given.count < 1:
-        parser.error(f"--count must be at least 1, not {given.count}; write 100, say")
-    if given.table.exists():
-        try:
-            kept(["index", "seed", "kind", "edge", "status", "left", "bar"], given.table)
-        except argparse.ArgumentTypeError as error:
-            parser.error(str(error))
-    designs = [{"index": i, "seed": seed} for seed in given.seed for i in range(given.count)]
-    table = resumed(given.table, judged, designs, digits=4)
-    print(summary(table).to_string(index=False, float_format="{:.3g}".format))
-    worst = table[(table["bar"] > 1) & (table["left"] < SURE)]
-    if len(worst):
-        print("\nBeyond the bars (`bar` is how many times):")
-        print(worst.to_string(index=False, float_format="{:.3g}".format))
-
-
 if __name__ == "__main__":
-    main()
+    search(judged, __doc__ or "", TABLE, 60, [20261129])

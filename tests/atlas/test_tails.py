@@ -38,7 +38,7 @@ def test_a_search_of_tails_finds_nothing_wrong_in_silence(tails: Any, search_see
 
 def test_the_kept_table_has_nothing_wrong_in_silence(tails: Any) -> None:
     rows = pd.read_csv(tails.TABLE)
-    of_kind = tails.summary(rows).set_index("kind")
+    of_kind = load("accuracy/edges").summary(rows).set_index("kind")
     assert (of_kind.loc[list(tails.KINDS), "readings"] >= 15).all()
     assert of_kind.loc["all", "silently wrong"] == 0
     assert of_kind.loc["all", "at an edge"] >= 0.25 * of_kind.loc["all", "readings"]
