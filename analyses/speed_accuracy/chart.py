@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,6 +25,7 @@ from speed_accuracy.beams import Row, timed
 
 from weberwhisk import (
     Observer,
+    Outcome,
     Status,
     Trials,
     Whisker,
@@ -33,6 +34,7 @@ from weberwhisk import (
     fit_weber,
     flick_past,
     jnd_curve,
+    locate,
     posterior,
     receptors,
     simulate_population,
@@ -225,13 +227,16 @@ def exact_sds(observer: Observer, rows: Array, *, full: bool) -> tuple[Array, fl
     return exact, float(np.abs(half / exact[:8] - 1).max() / 3)
 
 
-def measure_posteriors(*, full: bool = False) -> pd.DataFrame:
+def measure_posteriors(
+    *, full: bool = False, scenes: Iterable[str] = tuple(OBSERVERS)
+) -> pd.DataFrame:
     """R.m.s. relative error of the sd of r, and CPU seconds a posterior, of every engine.
 
     The row "closed form" is the time of the linear sd (3.2), "referee" the error of the truth.
     """
     table: list[Row] = []
-    for scene, observer in OBSERVERS.items():
+    for scene in scenes:
+        observer = OBSERVERS[scene]
         rows = readings(observer, 2048 if full else 256)
         judged = (256 if len(observer.unknowns) == 1 else 32) if full else 8
         exact, doubt = exact_sds(observer, rows[:judged], full=full)
@@ -256,46 +261,53 @@ def measure_posteriors(*, full: bool = False) -> pd.DataFrame:
 # -- JND curves ----------------------------------------------------------------------------------
 
 
+CURVES = {
+    "JND curve, tap: r": cues.Compliance(),
+    "JND curve, force map: r, θ_d": cues.ForceMap(),
+}
+
+
 def measure_jnds(*, full: bool = False) -> pd.DataFrame:
+    """`measure_curve` of all `CURVES`."""
+    curves = [measure_curve(scene, cue, full=full) for scene, cue in CURVES.items()]
+    return pd.concat(curves, ignore_index=True)
+
+
+def measure_curve(scene: str, cue: cues.Cue, *, full: bool = False) -> pd.DataFrame:
     """R.m.s. relative error of a curve of JNDs over distances, and CPU seconds a distance.
 
     The truth, at each distance, is the mean sd over many readings of its own by quadrature, whose
     sds `measure_posteriors` judges; the row "referee" is the Monte Carlo error of that mean.
     """
     r = np.linspace(0.2, 0.8, 4) * WHISKER.length
-    table: list[Row] = []
-    for scene, cue in (("JND curve, tap: r", cues.Compliance()),
-                       ("JND curve, force map: r, θ_d", cues.ForceMap())):  # fmt: skip
-        observer = Observer(WHISKER, cue, receptors.Weber(K))
-        angle = 0.1 if "deflection_angle" in observer.unknowns else None
-        contact = np.stack([r, np.full(r.size, 0.1)], axis=-1)[:, : len(observer.unknowns)]
-        exact = jnd_curve(observer, r, angle, n_readings=4000 if full else 150, seed=99)
-        truth = exact["posterior"].to_numpy()
-        doubt = float(np.sqrt(np.mean((exact["posterior_error"] / truth) ** 2)))
+    observer = Observer(WHISKER, cue, receptors.Weber(K))
+    angle = 0.1 if "deflection_angle" in observer.unknowns else None
+    contact = np.stack([r, np.full(r.size, 0.1)], axis=-1)[:, : len(observer.unknowns)]
+    exact = jnd_curve(observer, r, angle, n_readings=4000 if full else 150, seed=99)
+    truth = exact["posterior"].to_numpy()
+    doubt = float(np.sqrt(np.mean((exact["posterior_error"] / truth) ** 2)))
 
-        def curve(
-            count: int, method: str, o: Observer = observer, a: float | None = angle
-        ) -> Array:
-            found = jnd_curve(o, r, a, method=method, n_readings=count, seed=7)
-            return np.asarray(found["posterior"])
+    def curve(count: int, method: str) -> Array:
+        found = jnd_curve(observer, r, angle, method=method, n_readings=count, seed=7)
+        return np.asarray(found["posterior"])
 
-        calls: list[tuple[str, int, Callable[[], Array]]] = [
-            ("closed form", 0, partial(weber_propagation, observer, contact, model="closed_form")),
-            ("exact slope", 0, partial(weber_propagation, observer, contact)),
-            ("Fisher information", 0, partial(fisher_jnd, observer, contact)),
-        ]
-        for method, counts in (
-            ("quadrature", (10, 30, 100, 300, 1000) if full else (10, 100)),
-            ("emcee", (10, 30, 100, 300) if full else (10,)),
-        ):
-            calls += [(f"posteriors, {method}", n, partial(curve, n, method)) for n in counts]
-        shared = {"part": "jnds", "scene": scene}
-        table.append({**shared, "method": "referee", "error": doubt})
-        for method, count, call in calls:
-            found, seconds = timed(call, repeats=1)
-            error = float(np.sqrt(np.mean((found / truth - 1) ** 2)))
-            table.append({**shared, "method": method, "knob": count, "count": r.size,
-                          "seconds": seconds / r.size, "error": error, "failed": 0.0})  # fmt: skip
+    calls: list[tuple[str, int, Callable[[], Array]]] = [
+        ("closed form", 0, partial(weber_propagation, observer, contact, model="closed_form")),
+        ("exact slope", 0, partial(weber_propagation, observer, contact)),
+        ("Fisher information", 0, partial(fisher_jnd, observer, contact)),
+    ]
+    for method, counts in (
+        ("quadrature", (10, 30, 100, 300, 1000) if full else (10, 100)),
+        ("emcee", (10, 30, 100, 300) if full else (10,)),
+    ):
+        calls += [(f"posteriors, {method}", n, partial(curve, n, method)) for n in counts]
+    shared = {"part": "jnds", "scene": scene}
+    table: list[Row] = [{**shared, "method": "referee", "error": doubt}]
+    for method, count, call in calls:
+        found, seconds = timed(call, repeats=1)
+        error = float(np.sqrt(np.mean((found / truth - 1) ** 2)))
+        table.append({**shared, "method": method, "knob": count, "count": r.size,
+                      "seconds": seconds / r.size, "error": error, "failed": 0.0})  # fmt: skip
     return pd.DataFrame(table)
 
 
@@ -362,6 +374,11 @@ def measure_tool(
     }
 
 
+def sizes(full: bool) -> tuple[int, ...]:
+    """Trials a level: of all data sets, or in short of the smallest."""
+    return SIZES if full else SIZES[:1]
+
+
 def measure_fits(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
     """Relative RMSE of the Weber fraction, coverage of its 95 % interval, and CPU seconds a fit.
 
@@ -371,7 +388,7 @@ def measure_fits(*, full: bool = False, sets: int | None = None) -> pd.DataFrame
     return pd.DataFrame(
         [
             measure_tool(name, tool, per_level, sets)
-            for per_level in (SIZES if full else SIZES[:1])
+            for per_level in sizes(full)
             for name, tool in TOOLS.items()
         ]
     )
@@ -379,64 +396,109 @@ def measure_fits(*, full: bool = False, sets: int | None = None) -> pd.DataFrame
 
 # -- growth ----------------------------------------------------------------------------------------
 
+TOUCH = 20  # rows of a touch in a film
+
+
+def film(rows: int, seed: int = 1) -> pd.DataFrame:
+    """Signals at the base of a curved whisker: touches at one distance each, in and out again."""
+    rng = np.random.default_rng(seed)
+    whisker = Whisker(40e-3, 80e-6, 4e-6, youngs_modulus=3.0e9, curvature=6.0)
+    noise = receptors.GeneralisedWeber(0.03, floor=[1e-9, 1e-6])
+    observer = Observer(whisker, cues.ForceMap(), noise)
+    signals: list[Array] = []
+    while len(signals) * TOUCH < rows:
+        push = rng.uniform(0.05, 0.3) * np.sin(np.linspace(0.15, np.pi - 0.15, TOUCH))
+        contact = np.column_stack([np.full(TOUCH, rng.uniform(10e-3, 32e-3)), push])
+        exact, outcome = observer.signals(contact)
+        if (outcome == Outcome.HELD).all():
+            signals.append(noise.sample(exact, rng))
+    table = pd.DataFrame(np.concatenate(signals), columns=["moment", "axial_force"])
+    return table.assign(touch=np.arange(len(table)) // TOUCH)[:rows]
+
+
+def _posteriors(scene: str, method: str, n: int) -> Callable[[], Any]:
+    observer = OBSERVERS[scene]
+    rows = np.resize(readings(observer, 4096), (n, len(observer.cue.signal_names)))
+    return partial(posterior, observer, rows, method=method, seed=1)
+
+
+def _fit(n: int) -> Callable[[], Any]:
+    return partial(fit_weber, simulate_trials(trials_per_level=max(n // 9, 1), seed=1))
+
+
+def _population(n: int) -> Callable[[], Any]:
+    trials, _ = simulate_population(n, trials_per_level=15, seed=1)
+    return partial(fit_population, trials, seed=1)
+
+
+def _curve(n: int) -> Callable[[], Any]:
+    observer = OBSERVERS["one unknown: r"]
+    return partial(jnd_curve, observer, np.linspace(5e-3, 45e-3, n), n_readings=20, seed=1)
+
+
+def _located(n: int) -> Callable[[], Any]:
+    units = {"moment": "N m", "axial_force": "N"}
+    return partial(locate, film(n), Whisker(40e-3, 80e-6, 4e-6), units=units)
+
+
+class Job(NamedTuple):
+    """What makes a call of size n, the least n, and the most in short and in full."""
+
+    call: Callable[[int], Callable[[], Any]]
+    least: int
+    short: int  # 0 leaves out what takes seconds a call
+    full: int
+
+
+#: Each is called once before it is timed: what is kept between calls is not counted.
+JOBS = {
+    "posteriors, quadrature, r": Job(
+        partial(_posteriors, "one unknown: r", "quadrature"), 1, 1024, 65_536
+    ),
+    "posteriors, quadrature, r and θ_d": Job(
+        partial(_posteriors, "two: r, θ_d", "quadrature"), 1, 1024, 4096
+    ),
+    "posteriors, emcee, r": Job(partial(_posteriors, "one unknown: r", "emcee"), 1, 64, 1024),
+    "trials, fit": Job(_fit, 16, 4096, 262_144),
+    "subjects, population fit": Job(_population, 2, 0, 128),
+    "distances, JND curve": Job(_curve, 1, 64, 1024),
+    "rows, locate, unknown shape and stiffness": Job(_located, 20, 0, 5120),
+}
+
+
+def growing(full: bool) -> list[str]:
+    """The `JOBS` that are measured."""
+    return [what for what, job in JOBS.items() if full or job.short]
+
 
 def measure_growth(*, full: bool = False) -> pd.DataFrame:
-    """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
-    one, two = list(OBSERVERS.values())[:2]
-
-    def posteriors(observer: Observer, method: str, n: int) -> Callable[[], Any]:
-        rows = np.resize(readings(observer, 4096), (n, len(observer.cue.signal_names)))
-        return partial(posterior, observer, rows, method=method, seed=1)
-
-    def fit(n: int) -> Callable[[], Any]:
-        return partial(fit_weber, simulate_trials(trials_per_level=max(n // 9, 1), seed=1))
-
-    def population(n: int) -> Callable[[], Any]:
-        trials, _ = simulate_population(n, trials_per_level=15, seed=1)
-        return partial(fit_population, trials, seed=1)
-
-    def curve(n: int) -> Callable[[], Any]:
-        return partial(jnd_curve, one, np.linspace(5e-3, 45e-3, n), n_readings=20, seed=1)
-
-    jobs: dict[str, tuple[Callable[[int], Callable[[], Any]], int, int, int]] = {
-        # What makes a call of size n; the least n, the most in short, where 0 leaves out what takes
-        # seconds a call, and in full.
-        "posteriors, quadrature, r": (partial(posteriors, one, "quadrature"), 1, 1024, 65_536),
-        "posteriors, quadrature, r and θ_d": (
-            partial(posteriors, two, "quadrature"),
-            1,
-            1024,
-            4096,
-        ),
-        "posteriors, emcee, r": (partial(posteriors, one, "emcee"), 1, 64, 1024),
-        "trials, fit": (fit, 16, 4096, 262_144),
-        "subjects, population fit": (population, 2, 0, 32),
-        "distances, JND curve": (curve, 1, 64, 1024),
-    }
-    tables = []
-    for what, (job, n, *most) in jobs.items():
-        if not most[full]:
-            continue
-        job(64 if "θ_d" in what else 2)()  # cells that are kept are not counted
-        rows = []
-        while n <= most[full]:
-            call = job(n)
-            start = time.process_time()
-            call()
-            seconds = time.process_time() - start
-            tracemalloc.start()
-            call()
-            peak = tracemalloc.get_traced_memory()[1]
-            tracemalloc.stop()
-            rows.append(
-                {"part": "growth", "method": what, "count": n, "seconds": seconds, "bytes": peak}
-            )
-            n *= 4
-        part = pd.DataFrame(rows)
-        for column in ("seconds", "bytes"):
-            part[f"slope_{column}"] = slope(part["count"], part[column])
-        tables.append(part)
+    """`measure_growing` of all that are measured."""
+    tables = [measure_growing(what, full=full) for what in growing(full)]
     return pd.concat(tables, ignore_index=True)
+
+
+def measure_growing(what: str, *, full: bool = False) -> pd.DataFrame:
+    """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
+    job = JOBS[what]
+    job.call(64 if "θ_d" in what else job.least)()
+    rows, n = [], job.least
+    while n <= (job.full if full else job.short):
+        call = job.call(n)
+        start = time.process_time()
+        call()
+        seconds = time.process_time() - start
+        tracemalloc.start()
+        call()
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        rows.append(
+            {"part": "growth", "method": what, "count": n, "seconds": seconds, "bytes": peak}
+        )
+        n *= 4
+    part = pd.DataFrame(rows)
+    for column in ("seconds", "bytes"):
+        part[f"slope_{column}"] = slope(part["count"], part[column])
+    return part
 
 
 def slope(count: Any, value: Any) -> float:

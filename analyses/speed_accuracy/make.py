@@ -10,7 +10,7 @@ psychofit on the fits. All but the chain and emcee come with ``pip install weber
 what is not installed is left out, with a note.
 
 Writes beams, posteriors, jnds, fits and growth (CSV) and the figures speed_accuracy and
-fits_and_growth.
+fits_and_growth. A run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import contextlib
 import io
+import re
+import shutil
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -44,7 +47,7 @@ from speed_accuracy import chart as charts
 from speed_accuracy.beams import timed
 
 import weberwhisk as ww
-from weberwhisk._util.output import Run
+from weberwhisk._util.output import Run, atomic_write, csv_text
 from weberwhisk.behaviour import Trials
 from weberwhisk.mechanics import closed_form
 
@@ -213,7 +216,7 @@ def other_engines(
             yield "nested (dynesty)", live, lambda rows, n=live: nested(observer, rows, n)
 
 
-def other_posteriors(full: bool, scenes: Iterable[str] = charts.OBSERVERS) -> pd.DataFrame:
+def other_posteriors(full: bool, scenes: Iterable[str]) -> pd.DataFrame:
     """Rows of emcee's loops, NUTS and nested sampling: few readings, as each takes seconds."""
     table = []
     for scene in scenes:
@@ -256,45 +259,61 @@ def psychofit_answer(trials: Trials) -> charts.Answer:
     return float(found[1]) / 2, np.nan, np.nan
 
 
-def other_fits(full: bool, sets: int) -> pd.DataFrame:
-    """Rows of psignifit and psychofit."""
-    tools = {"psychofit": psychofit_answer, "psignifit": psignifit_answer}
-    return pd.DataFrame(
-        [
-            charts.measure_tool(name, tool, per_level, sets)
-            for per_level in (charts.SIZES if full else charts.SIZES[:1])
-            for name, tool in tools.items()
-            if find_spec(name)
-        ]
-    )
+OTHER_TOOLS = {"psychofit": psychofit_answer, "psignifit": psignifit_answer}
 
 
 # -- together ------------------------------------------------------------------------------------
 
+Part = Callable[[], pd.DataFrame]
 
-def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
-    """The five tables, this package's rows first."""
-    return {
-        "beams": pd.concat([beams.measure(full=full), other_beams(full)], ignore_index=True),
-        "posteriors": pd.concat(
-            [charts.measure_posteriors(full=full), other_posteriors(full)], ignore_index=True
-        ),
-        "fits": pd.concat(
-            [charts.measure_fits(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
-        ),
-        "jnds": charts.measure_jnds(full=full),
-        "growth": charts.measure_growth(full=full),
-    }
+
+def parts(*, full: bool, sets: int) -> Iterator[tuple[str, str, Part]]:
+    """Table, name and making of each part of the five tables, this package's rows first."""
+    yield "beams", "own", partial(beams.measure, full=full)
+    yield "beams", "others", partial(other_beams, full)
+    for scene in charts.OBSERVERS:
+        yield "posteriors", scene, partial(charts.measure_posteriors, full=full, scenes=[scene])
+    for scene in charts.OBSERVERS:
+        yield "posteriors", f"{scene}, others", partial(other_posteriors, full, [scene])
+    tools = charts.TOOLS | {n: t for n, t in OTHER_TOOLS.items() if find_spec(n)}
+    for name, tool in tools.items():
+        for size in charts.sizes(full):
+            fit = partial(charts.measure_tool, name, tool, size, sets)
+            yield "fits", f"{name}, {size}", lambda fit=fit: pd.DataFrame([fit()])
+    for scene, cue in charts.CURVES.items():
+        yield "jnds", scene, partial(charts.measure_curve, scene, cue, full=full)
+    for what in charts.growing(full):
+        yield "growth", what, partial(charts.measure_growing, what, full=full)
+
+
+def measure(folder: Path, *, full: bool, sets: int) -> dict[str, pd.DataFrame]:
+    """The five tables; each part is kept in `folder` once it is made, and read where it is."""
+    tables: dict[str, list[pd.DataFrame]] = {}
+    for i, (table, name, part) in enumerate(parts(full=full, sets=sets)):
+        path = folder / f"{i:02d}-{table}-{re.sub(r'[^a-z0-9]+', '-', name.lower())}.csv"
+        if not path.exists():
+            made = part()
+            folder.mkdir(parents=True, exist_ok=True)
+            atomic_write(path, csv_text(made))
+            print(f"{table}: {name}", file=sys.stderr)
+        tables.setdefault(table, []).append(pd.read_csv(path))
+    return {name: pd.concat(made, ignore_index=True) for name, made in tables.items()}
 
 
 def make(folder: Path, *, full: bool = True, sets: int = 200) -> dict[str, pd.DataFrame]:
-    """Tables and figures into `folder`."""
+    """Tables and figures into `folder`.
+
+    Parts that are made lie in a folder of their own there, by settings and by what is installed, so
+    that a run which was stopped goes on; they go when the tables are whole.
+    """
     foot = machine(*PACKAGES)
     absent = missing()
     foot += f"; not installed: {', '.join(absent)}" if absent else ""
+    kept = folder / f"parts-{'full' if full else 'short'}-{sets}-without-{len(absent)}"
+    tables = measure(kept, full=full, sets=sets)
     with Run(folder, "speed_accuracy", {"full": full, "sets": sets, "machine": foot}) as run:
-        tables = measure(full=full, sets=sets)
         draw(run, tables, foot)
+    shutil.rmtree(kept)
     return tables
 
 

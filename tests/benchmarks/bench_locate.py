@@ -11,32 +11,13 @@ import os
 import resource
 import sys
 import time
+from pathlib import Path
 
-import numpy as np
-import pandas as pd
+sys.path.insert(0, str(Path(__file__).parents[2] / "analyses"))
+
+from speed_accuracy.chart import film
 
 import weberwhisk as ww
-from weberwhisk.cues import ForceMap
-from weberwhisk.mechanics import Outcome
-
-EACH = 20  # rows of a touch
-
-
-def film(rows: int, seed: int = 1) -> pd.DataFrame:
-    """Touches of a curved whisker, each at one distance, pushed in and let go."""
-    rng = np.random.default_rng(seed)
-    whisker = ww.Whisker(40e-3, 80e-6, 4e-6, youngs_modulus=3.0e9, curvature=6.0)
-    noise = ww.receptors.GeneralisedWeber(0.03, floor=[1e-9, 1e-6])
-    observer = ww.Observer(whisker, ForceMap(), noise)
-    signals: list[np.ndarray] = []
-    while len(signals) * EACH < rows:
-        push = rng.uniform(0.05, 0.3) * np.sin(np.linspace(0.15, np.pi - 0.15, EACH))
-        contact = np.column_stack([np.full(EACH, rng.uniform(10e-3, 32e-3)), push])
-        exact, outcome = observer.signals(contact)
-        if (outcome == Outcome.HELD).all():
-            signals.append(noise.sample(exact, rng))
-    table = pd.DataFrame(np.concatenate(signals), columns=["moment", "axial_force"])
-    return table.assign(touch=np.arange(len(table)) // EACH)[:rows]
 
 
 def main(rows: int, workers: int) -> None:
