@@ -40,7 +40,6 @@ CELLS = {
 }
 
 
-@pytest.mark.slow  # of what is shown: every result, below
 def test_figures_appear_in_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MPLBACKEND", raising=False)  # a notebook has its own
     setup = "import weberwhisk as ww\ntap = ww.Observer(ww.Whisker.from_identity('C2'), "

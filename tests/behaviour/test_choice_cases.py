@@ -159,7 +159,6 @@ def test_an_equal_pair_in_the_first_row_is_of_the_same_standard() -> None:
         weber_law_test(fit_weber(first))
 
 
-@pytest.mark.slow
 def test_five_standards_with_two_comparisons_each_are_five(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -155,7 +155,6 @@ def test_what_workers_do_is_the_same() -> None:
     assert sum(done) == 2
 
 
-@pytest.mark.slow  # of populations that misfit: `test_misfit.py`
 def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
     trials = people(3, power=1.9, standards=(1.0, 2.0, 4.0), n=20, seed=5)
     fit = fit_population(trials)
@@ -170,7 +169,6 @@ def test_weber_s_law_that_fails_is_found_over_all_animals() -> None:
 
 
 @pytest.mark.parametrize("power", [1.5, pytest.param(1.0, marks=pytest.mark.slow)])
-@pytest.mark.slow  # of the law: `test_weber_law.py`; of all animals: `fit --together --law`
 def test_weber_s_law_is_tested_of_all_animals_together(power: float) -> None:
     trials = people(4, power=power, standards=(1.0, 2.0, 4.0), n=30, seed=5)
     test = weber_law_test(fit_population(trials, check=False, priors=LAPSES))

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -25,8 +24,7 @@ from weberwhisk.sensitivity import linear_surface
 FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")
 
 
-# Slow: CI runs the whole command as the README prints it.
-@pytest.fixture(scope="module", params=slow_but([((37, 37),), ((31, 37),)], ()))
+@pytest.fixture(scope="module", params=[(37, 37), pytest.param((31, 37), marks=pytest.mark.slow)])
 def run(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, str, str]:

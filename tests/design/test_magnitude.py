@@ -294,7 +294,6 @@ def test_the_analysis_has_equality_and_jnd_in_the_unit_and_leaves_trials_out(
 
 
 @pytest.mark.usefixtures("few_draws")
-@pytest.mark.slow  # of each command: its own tests
 def test_next_analyse_and_fit_agree_on_one_session(
     small: tuple[Path, ww.design.Plan],
     tmp_path: Path,

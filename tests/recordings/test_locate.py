@@ -507,7 +507,6 @@ def test_one_row_a_contact_leaves_the_noise_as_believed() -> None:
         assert found.loc[2, name] == pytest.approx(alone.loc[2, name], rel=1e-6)
 
 
-@pytest.mark.slow
 def test_a_shape_at_rest_that_nobody_gave_is_mixed_over() -> None:
     """Beside posteriors of whiskers of many curvatures, weighed by prior and evidence."""
     unsaid = ww.Whisker(C2.length, C2.base_radius, C2.tip_radius, youngs_modulus=3e9)
