@@ -213,9 +213,9 @@ def smallest(
     """The fewest trials, or animals, that reach a goal, whichever hypothesis is true.
 
     A goal that the spread of the animals or the information of a trial puts out of reach is refused
-    before anything is simulated. The size is doubled or halved until the goal lies between two,
-    then the bracket is halved until it is within 5 %; its upper end is the size, and fresh runs
-    give its power.
+    before anything is simulated. The size is doubled or halved until the goal lies between two;
+    sizes between, where the powers of both ends put the goal, narrow the bracket to 5 %. Its upper
+    end is the size, and fresh runs give its power.
 
     Parameters
     ----------
@@ -267,13 +267,15 @@ def smallest(
     )
     visited: dict[int, Power] = {}
     start = min(max(map(max, scheme.trials)) if vary == "trials" else scheme.animals, end)
-    # Sizes at most: to where the goal lies between two, to a twentieth of it, and twice in the end.
-    sizes = np.ceil(np.log2(max(end / start, start))) + 7
+    # Sizes, about: to where the goal lies between two, to a twentieth of it, and twice in the end.
+    sizes = np.ceil(np.log2(max(end / start, start))) + 6
 
     def visit(sized_scheme: Scheme, runs: int, *seeds: int) -> Power:
         root = np.random.SeedSequence([seed, *seeds])
         count = len(_chunks(sized_scheme, "", runs)) * len(options.get("truths") or given)
-        how = options | {"progress": lambda done: advance(done / count)}
+        # Of a size that has its runs in two parts, each is so much of it.
+        part = runs / enough(sized_scheme.animals) / count
+        how = options | {"progress": lambda done: advance(done * part)}
         return power(sized_scheme, given, goal=aim, runs=runs, seed=root, **how)
 
     def enough(animals: int) -> int:
@@ -302,9 +304,13 @@ def smallest(
         while low == 0 and high > 1:
             half = high // 2
             low, high = (low, half) if reached(half) else (half, high)
-        while high - low > max(1, 0.05 * high):
+        vain = 0  # sizes in a row that narrowed it by less than halving would have
+        while (gap := high - low) > max(1, 0.05 * high):
             middle = (low + high) // 2
+            if low > 0 and vain < 2:
+                middle = _between(low, high, *(visited[n] for n in (low, high)), aim.share)
             low, high = (low, middle) if reached(middle) else (middle, high)
+            vain = vain + 1 if vain < 2 and high - low > gap / 2 else 0
         scheme = sized(scheme, vary, high + high % 2 * even)
         last = 2 * runs if scheme.animals == 1 else enough(scheme.animals)
         if even:
@@ -312,6 +318,22 @@ def smallest(
             high += high % 2
         visited[high] = visit(scheme, last, 0)
         return scheme, _joined(list(visited.values()))
+
+
+def _between(low: int, high: int, below: Power, above: Power, share: float) -> int:
+    """A size between two at which power is about the share: probits of power are linear in ln n.
+
+    A fortieth of the size off the nearer end, so that the next one has it from both sides.
+    """
+    first, last = (
+        float(ndtri((table["power"] * table["runs"] + 0.5) / (table["runs"] + 1)).min())
+        for table in (below.table, above.table)
+    )
+    goal = float(ndtri(share))
+    place = min(max((goal - first) / max(last - first, 1e-9), 0.0), 1.0)
+    size = low ** (1 - place) * high**place
+    size *= 1 + (0.025 if size * size < low * high else -0.025)
+    return int(min(max(round(size), low + 1), high - 1))
 
 
 def _clear(result: Power, confidence: float = 0.99) -> bool:
