@@ -27,11 +27,12 @@ from weberwhisk.design import (
     cues,
     lattice,
     noises,
+    power_analysis,
     taper,
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.power_analysis import smallest
+from weberwhisk.design.power_analysis import Power, smallest
 from weberwhisk.design.scheme import sized
 from weberwhisk.design.simulation import compare, fit, simulate
 
@@ -307,6 +308,39 @@ def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
     assert less.table["upper"][0] < 0.8
     # Bracketing, not a sweep.
     assert len(found.table) < 10
+
+
+@pytest.mark.parametrize("start", [10, 40, 300])
+@pytest.mark.parametrize(
+    ("curve", "most"),
+    [  # halving takes 5 or 6 everywhere
+        (lambda n: ndtr(1.5 * np.log(n / 53)), 4),
+        (lambda n: ndtr(0.2 * np.sqrt(n) - 1.3), 4),
+        (lambda n: 0.85 * ndtr(8 * np.log(n / 140)), 6),  # flat beyond
+        (lambda n: np.where(n < 97, 0.02, 0.99), 6),  # a step
+    ],
+)  # fmt: skip
+def test_the_smallest_size_is_found_on_curves_of_known_power(
+    monkeypatch: pytest.MonkeyPatch, curve, most: int, start: int
+) -> None:
+    visited = []
+
+    def known(scheme: Scheme, hypotheses, *, goal, runs: int, **_) -> Power:
+        n = max(map(max, scheme.trials))
+        visited.append(n)
+        met = np.arange(runs) < np.round(runs * curve(n))
+        table = pd.DataFrame(
+            {"truth": "tapered", "trials": n, "animals": 1, "half_width": 0.2, "covers": True,
+             "log_bayes_factor": np.where(met, 9.0, 0.0), "estimate": 0.1, "weber_fraction": 0.1}
+        )  # fmt: skip
+        return Power(goal, power_analysis.summary(table, goal), table)
+
+    monkeypatch.setattr(power_analysis, "power", known)
+    found, _ = smallest(design((0.3, 0.9), start), (TAPERED, CYLINDRICAL), runs=100_000)
+    size = max(map(max, found.trials))
+    assert curve(size) >= 0.8 - 1e-4
+    assert curve(0.95 * size - 1) < 0.8
+    assert len(set(visited)) <= most + np.ceil(abs(np.log2(size / start)))
 
 
 @pytest.mark.parametrize(

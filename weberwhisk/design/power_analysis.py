@@ -308,7 +308,7 @@ def smallest(
         while (gap := high - low) > max(1, 0.05 * high):
             middle = (low + high) // 2
             if low > 0 and vain < 2:
-                middle = _between(low, high, *(visited[n] for n in (low, high)), aim.share)
+                middle = _between(low, high, visited[low], visited[high], aim.share)
             low, high = (low, middle) if reached(middle) else (middle, high)
             vain = vain + 1 if vain < 2 and high - low > gap / 2 else 0
         scheme = sized(scheme, vary, high + high % 2 * even)
