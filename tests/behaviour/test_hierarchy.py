@@ -249,7 +249,9 @@ def test_a_reversed_animal_and_one_without_answers_stay_out() -> None:
     fit = fit_population(Trials(odd, trials.task), priors=KNOWN)
     alone = fit_population(trials.select(subject=["s3", "s4"]), priors=KNOWN)
     assert fit.weber_fraction == pytest.approx(alone.weber_fraction, rel=1e-9)
-    assert [note.split()[0] for note in fit.notes] == ["s1", "s2"]
+    missing, *out = fit.notes
+    assert missing.startswith("64 trials without an answer")
+    assert [note.split()[0] for note in out] == ["s1", "s2"]
     rows = fit.subjects.set_index("subject")
     assert rows.loc["s1", "status"] == "REVERSED"
     assert rows.loc["s2", "status"] == "NO_TRIALS"

@@ -145,8 +145,7 @@ def judged(
 ) -> tuple[FitStatus, tuple[str, ...]]:
     """The status of a fit once it is checked and what the checks see is weighed, and sentences
     beside it; from those before."""
-    of_table = dict.fromkeys((*fit.trials.notes, fit.trials.course.note))
-    notes = (*filter(None, of_table), *notes)
+    notes = (*fit.trials.notes, *notes)
     if status in UNCHECKED:
         return status, notes
     table = fit.checked

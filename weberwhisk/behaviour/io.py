@@ -252,8 +252,9 @@ def read_trials(
             + " leaves them in that of the table."
         )
     frame.attrs["columns"] = dict(mapped)  # what the user calls them, for figures
-    read = Trials(frame, chosen, scale, log_unit, name, (), places, standards.are_known, in_order)
-    return replace(read, notes=(*read.own_notes, *notes))
+    return Trials(
+        frame, chosen, scale, log_unit, name, tuple(notes), places, standards.are_known, in_order
+    )
 
 
 def millimetres_beside(raw: pd.DataFrame, columns: Mapping[str, str]) -> dict[str, str]:

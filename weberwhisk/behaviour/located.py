@@ -175,7 +175,7 @@ def with_distances(
         notes.append(f"{counted(stray, 'located touch')} of no trial: left out.")
     columns = {"stimulus_1": at[:, 0], "stimulus_2": at[:, 1]}
     columns |= {name: own[:, i] for i, name in enumerate(SDS)}
-    return replace(trials, frame=frame.assign(**columns), notes=(*trials.notes, *notes))
+    return replace(trials, frame=frame.assign(**columns), reading=(*trials.reading, *notes))
 
 
 def at_touches(

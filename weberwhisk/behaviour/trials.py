@@ -76,8 +76,8 @@ class Trials(Line):
         On a log scale: natural-log units per unit of the column, None where that is unknown.
     source : str
         Where the table came from, for messages.
-    notes : tuple of str
-        What a reader should know: missing answers, rows that occur twice; `select` counts anew.
+    reading : tuple of str
+        Notes on how the table was read, which hold of any part of it.
     rows : ndarray of int, optional
         Where each row stands in the file, the first below the header being 1.
     has_standards : bool
@@ -106,7 +106,7 @@ class Trials(Line):
     scale: str = "linear"
     log_unit: float | None = None
     source: str = "table"
-    notes: tuple[str, ...] = ()
+    reading: tuple[str, ...] = ()
     rows: Index | None = field(default=None, repr=False, compare=False)
     has_standards: bool = True
     in_order: bool | None = None
@@ -285,8 +285,7 @@ class Trials(Line):
         """The trials of these rows."""
         frame = self.frame.iloc[places].reset_index(drop=True)
         rows = (np.arange(1, len(self) + 1) if self.rows is None else self.rows)[places]
-        part = replace(self, frame=frame, notes=(), rows=rows)
-        return replace(part, notes=(*self._lasting, *part.own_notes))
+        return replace(self, frame=frame, rows=rows)
 
     def _gathered(self, column: str) -> Mapping[Hashable, Index]:
         """The rows of each value of a column, looked for once: a population takes each subject by
@@ -298,15 +297,11 @@ class Trials(Line):
         return kept[column]
 
     @cached_property
-    def own_notes(self) -> tuple[str, ...]:
-        """Notes on these rows: their order, and what is missing or there twice."""
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know: missing answers, rows that occur twice, whether rows are in
+        order, and how the table was read."""
         order = (self.course.note,) if self.course.note else ()
-        return (*notes_of(self.frame, self.rows), *order)
-
-    @cached_property
-    def _lasting(self) -> tuple[str, ...]:
-        """The notes that hold of any part of the table."""
-        return tuple(note for note in self.notes if note not in self.own_notes)
+        return (*notes_of(self.frame, self.rows), *order, *self.reading)
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # not what is quickly remade
@@ -373,12 +368,12 @@ def joined(parts: list[Trials]) -> Trials:
     """Tables of one task, scale and unit, one below the other."""
     if not isinstance(parts, list | tuple):
         raise Refusal("parts must be a list of Trials", checks.shown(parts))
-    words, lasting = set(), dict[str, None]()
+    words, reading = set(), dict[str, None]()
     has_standards = True
     for part in parts:
         check_trials(part)
         words.add(part.in_order)
-        lasting |= dict.fromkeys(part._lasting)
+        reading |= dict.fromkeys(part.reading)
         has_standards &= part.has_standards
     if not parts:
         raise Refusal("there are no tables to join", remedy="give one or more")
@@ -392,7 +387,7 @@ def joined(parts: list[Trials]) -> Trials:
         return parts[0]
     frame = pd.concat([t.frame for t in parts], ignore_index=True)
     return replace(
-        parts[0], frame=frame, notes=(*lasting, *notes_of(frame)), rows=None,
+        parts[0], frame=frame, reading=tuple(reading), rows=None,
         has_standards=has_standards,
         in_order=words.pop() if len(words) == 1 else None,
     )  # fmt: skip

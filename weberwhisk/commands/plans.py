@@ -434,7 +434,7 @@ def rig_trials(files: list[Path], plan: Plan) -> ww.Trials:
         table.reset_index(drop=True), columns=named, task=task, scale=of.scale,
         log_unit=of.log_unit,
     )  # fmt: skip
-    return replace(trials, notes=(*notes, *trials.notes))
+    return replace(trials, reading=(*notes, *trials.reading))
 
 
 def _with_choice(table: pd.DataFrame, file: Path, plan: Plan) -> pd.DataFrame:
