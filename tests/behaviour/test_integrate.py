@@ -50,7 +50,7 @@ def test_a_criterion_near_zero_is_not_missed() -> None:
     The density of a log-normal prior is steep beside the bump of what the answers tell.
     """
     trials = simulate_trials(
-        task="same-different", trials_per_level=20, lapse_low=0.0, lapse_high=0.0, seed=41
+        task="same-different", bias=0.0, trials_per_level=20, lapse_low=0.0, lapse_high=0.0, seed=41
     )
     model = fit_weber(trials, method="quadrature").model.merged()
     grid = integrate(model)

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.special import ndtr
 
 from weberwhisk.behaviour import (
     LogEncoding,
     effects,
+    fit_weber,
     simulate_population,
     simulate_trials,
 )
@@ -53,6 +55,19 @@ def test_missing_answers() -> None:
     trials = simulate_trials(missing=0.2, trials_per_level=500, seed=3)
     assert trials.n_missing == pytest.approx(900, abs=110)
     assert trials.frame["count"].isna().sum() == trials.n_missing
+
+
+def test_same_and_different_are_both_said_by_default() -> None:
+    """With a criterion of 0 every pair is called different, which says nothing of k."""
+    one = simulate_trials(task="same-different", trials_per_level=200, seed=5)
+    equal = one.frame.loc[one.frame["stimulus_1"] == one.frame["stimulus_2"], "count"]
+    assert equal.mean() == pytest.approx(2 * ndtr(-1.6), abs=0.07)
+    assert fit_weber(one).interval(0.99)[0] < 0.1 < fit_weber(one).interval(0.99)[1]
+    several, truth = simulate_population(4, task="same-different", trials_per_level=5, seed=5)
+    assert truth["bias"].between(0.8, 2.4).all()
+    assert 0.1 < several.frame["count"].mean() < 0.9
+    with pytest.raises(ValueError, match=r"criterion of a same-different task.*write for ex"):
+        simulate_trials(task="same-different", bias=-1.0, seed=1)
 
 
 @pytest.mark.parametrize(

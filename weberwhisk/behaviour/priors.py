@@ -450,6 +450,11 @@ def priors_for(
     return made if task is None else of_task(made, task)
 
 
+def usual_bias(task: Task) -> float:
+    """The middle of what is believed of the bias, or the criterion, in a task."""
+    return float(of_task(DEFAULTS, task).value("bias", 0.0)) if task.bias_name else 0.0
+
+
 def of_task(priors: Priors, task: Task) -> Priors:
     """The priors with the task's own belief about its bias, where nothing else is said of it."""
     if isinstance(task, SameDifferent) and priors.bias is _BELIEFS["bias"]:

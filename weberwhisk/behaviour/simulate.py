@@ -28,8 +28,9 @@ from .encodings import (
     unit_encodings,
 )
 from .formula import expanded
+from .priors import usual_bias
 from .states import States
-from .tasks import Task, task_named
+from .tasks import SameDifferent, Task, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 __all__ = [
@@ -50,7 +51,7 @@ def simulate_trials(
     trials_per_level: int = 40,
     lapse_low: float = 0.0,
     lapse_high: float = 0.0,
-    bias: ArrayLike = 0.0,
+    bias: ArrayLike | None = None,
     drift: float = 0.0,
     bias_drift: float = 0.0,
     encoding: Encoding | None = None,
@@ -84,7 +85,10 @@ def simulate_trials(
     lapse_low, lapse_high : float
         Share of answers lost at either end.
     bias : float or array_like, shape (S,)
-        In sds of the difference between the two signals, positive towards "second greater".
+        In sds of the difference between the two signals, positive towards "second greater"; of
+        yes/no and go/no-go tasks the criterion in sds of stimulus 1, and of a same-different task
+        the difference, in sds of it, beyond which the answer is "different". The middle of what
+        `fit_weber` believes by default: 0, and of same-different 1.6.
     drift, bias_drift : float
         A learning animal: how far ln k (as by the effect `Drift`) and the bias go from the first
         session to the last, in equal steps; their mean over the sessions is what is given above.
@@ -150,7 +154,14 @@ def simulate_trials(
     if not base.size:
         raise Refusal("standards is empty", remedy="write standards=1.0, say")
     levels = _levels(base, offsets, comparisons, isinstance(encoded, LogEncoding))
-    shift = checks.finite("bias", bias, "write for example 0")
+    usual = usual_bias(chosen)
+    shift = checks.finite("bias", usual if bias is None else bias, f"write for example {usual:g}")
+    if isinstance(chosen, SameDifferent) and (shift < 0).any():
+        raise Refusal(
+            named("bias") + " is the criterion of a same-different task, which is not below 0",
+            f"{shift.min():g}",
+            f"write for example {usual:g}",
+        )
     if shift.shape not in ((), (1,), base.shape):
         raise Refusal(
             named("bias") + f" has shape {shift.shape} for standards of shape {base.shape}",
@@ -355,7 +366,7 @@ def simulate_population(
     session_spread: float = 0.0,
     lapse_low: float = 0.02,
     lapse_high: float = 0.02,
-    bias: float = 0.0,
+    bias: float | None = None,
     bias_spread: float = 0.2,
     sessions: int = 1,
     seed: int | np.random.SeedSequence | np.random.Generator,
@@ -375,7 +386,7 @@ def simulate_population(
     lapse_low, lapse_high : float
         Mean lapse λ at either end, each animal's own from Beta(2, 2/λ − 2).
     bias, bias_spread : float
-        Mean and standard deviation of the biases.
+        Mean and standard deviation of the biases; the mean as for `simulate_trials`.
     sessions : int
     seed : int, SeedSequence or Generator
     **design
@@ -396,9 +407,11 @@ def simulate_population(
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
     rng = checks.generator(seed)
+    task = task_named(design.get("task", "2AFC"))
     truth = draw_animals(
         subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
-        lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
+        lapse_high=lapse_high, bias=usual_bias(task) if bias is None else bias,
+        bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
     sessions = checks.whole("sessions", sessions, "write 10, say")
     checks.non_negative_number("session_spread", session_spread, "write for example 0.02")

@@ -52,7 +52,10 @@ def simulate(
     weber_fraction: Annotated[float, "The truth to find."] = 0.1,
     lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
     lapse_high: Annotated[float, "Share lost at the high end."] = 0.0,
-    bias: Annotated[float, "Towards the second, in sds."] = 0.0,
+    bias: Annotated[
+        float | None,
+        "Towards the second, or the criterion, in sds.  [default: 0, of same-different 1.6]",
+    ] = None,
     noise: Annotated[str, "weber, equal-variance or constant."] = "weber",
     effect: Annotated[
         opt.Texts,
@@ -67,7 +70,7 @@ def simulate(
     sessions: Annotated[int, "Dealt out over these."] = 1,
     subjects: Annotated[int, "Animals; with several, each draws its own truth."] = 1,
     spread: Annotated[float, "Standard deviation of ln k between several animals."] = 0.3,
-    task: Annotated[str, "2AFC, 2IFC, or '2AFC percent correct' and the like."] = "2AFC",
+    task: Annotated[str, "As for fit: 2AFC, go/no-go, same-different and so on."] = "2AFC",
     seed: int = 1,
     out: Path | None = None,
     as_json: bool = False,
@@ -79,7 +82,9 @@ def simulate(
     """
     inputs = opt.as_asked(locals())
     from ..behaviour.effects import effect_valued
+    from ..behaviour.priors import usual_bias
     from ..behaviour.simulate import SIGNED_OFFSETS, valued_effects
+    from ..behaviour.tasks import task_named
     from ..behaviour.trials import STIMULI
 
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
@@ -99,9 +104,12 @@ def simulate(
     checks.positive("--standard-mm" if encoding else "--standard", base, "write 20, say")
     levels = numbers("--offset", offset) if offset else None
     effects = [effect_valued(text) for text in effect or ()]
+    own_task = task_named(task)
+    bias = usual_bias(own_task) if bias is None else bias
     truth: dict[str, Any] = {
-        name: inputs[name] for name in ("weber_fraction", "lapse_low", "lapse_high", "bias")
-    }
+        "weber_fraction": weber_fraction, "lapse_low": lapse_low, "lapse_high": lapse_high,
+        "bias": bias,
+    }  # fmt: skip
     with Run(out, "simulate", inputs, seed) as run:
         design: dict[str, Any] = truth | {
             "standards": base, "offsets": levels, "encoding": encoding, "effects": effects,
@@ -145,7 +153,7 @@ def simulate(
         f"{counted(len(table), 'trial')}{many} of {trials.task.name}, "
         f"{trials.n_missing} without an answer; {counted(base.size, 'standard')}, "
         f"Weber fraction {weber_fraction:g}, lapses {lapse_low:g} and {lapse_high:g}, "
-        f"bias {bias:g}, seed {seed}."
+        f"{own_task.bias_name or 'bias'} {bias:g}, seed {seed}."
     )
     if run.out_dir is None:
         lines.append(csv_text(table).rstrip("\n"))
