@@ -346,7 +346,7 @@ def _clear(result: Power, confidence: float = 0.99) -> bool:
 def _chunks(scheme: Scheme, truth: str, runs: int) -> list[dict[str, Any]]:
     """So many experiments at once that they take some seconds: the grid belongs to the seed."""
     common = {"truth": truth, "trials": max(map(max, scheme.trials)), "animals": scheme.animals}
-    size = 512 if scheme.animals == 1 else max(4, 128 // scheme.animals)
+    size = 512 if scheme.animals == 1 else max(4, 256 // scheme.animals)
     return [common | {"runs": min(size, runs - i)} for i in range(0, runs, size)]
 
 
