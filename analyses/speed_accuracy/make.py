@@ -9,8 +9,8 @@ gradient sampler (littlemcmc's NUTS) and a nested one (dynesty) on the posterior
 psychofit on the fits. All but the chain and emcee come with ``pip install weberwhisk[referees]``;
 what is not installed is left out, with a note.
 
-Writes beams, posteriors, jnds, fits and growth (CSV) and the figures speed_accuracy and
-fits_and_growth. A run that was stopped goes on where it was.
+Writes beams, posteriors, jnds, fits and growth (CSV) and a figure of each. A run that was stopped
+goes on where it was.
 """
 
 from __future__ import annotations
@@ -320,13 +320,13 @@ def make(folder: Path, *, full: bool = True, sets: int = 200) -> dict[str, pd.Da
 def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
     """Keep the tables and the figures of them."""
     for name, table in tables.items():
-        run.table(name, table)
-    table = pd.concat(tables.values(), ignore_index=True)
+        run.table(f"speed_accuracy_{name}", table)
+    methods = {str(m) for table in tables.values() for m in table["method"].unique()}
     own = ("closed", "elastica", "planar", "rod", "quadrature", "Laplace", "emcee, stacked",
            "exact", "Fisher", "posteriors")  # fmt: skip
-    outside = {m for m in table["method"].unique() if not m.startswith(own) and m != "emcee"}
-    run.figure("speed_accuracy", plots.speed_accuracy(table, foot=foot, outside=outside))
-    run.figure("fits_and_growth", plots.fits_and_growth(table, foot=foot, outside=outside))
+    outside = {m for m in methods if not m.startswith(own) and m not in {"emcee", *charts.JOBS}}
+    for name, figure in plots.figures(tables, foot=foot, outside=outside).items():
+        run.figure(f"speed_accuracy_{name}", figure)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from textwrap import fill
 from typing import Any
 
@@ -24,6 +24,9 @@ from weberwhisk.plots.style import (
     styled,
 )
 
+Styles = dict[str, dict[str, Any]]
+#: Okabe and Ito's, and two of Tol's: a figure has nine methods.
+ALL_COLOURS = (*COLOURS, "#882255", "#999933")
 #: Unit roundoff of the numbers.
 ROUNDING = float(np.finfo(float).eps)
 #: Letters of small print in a line, and where the axes of errors end.
@@ -31,22 +34,17 @@ FOOT, TOP = 130, 3e4
 
 
 @styled
-def speed_accuracy(
-    table: pd.DataFrame, *, weber_fraction: float = 0.1, allowed: float = 0.1, foot: str = "",
-    outside: Iterable[str] = (),
-) -> Figure:  # fmt: skip
-    """Beams, posteriors and JND curves, a panel for each scene; every method a line over its knob.
+def beams(
+    table: pd.DataFrame, styles: Styles, *, weber_fraction: float = 0.1, allowed: float = 0.1
+) -> Figure:
+    """Bent whiskers, a panel for each scene; every method a line over its knob.
 
-    Crosses mark settings at which a method fails or flags answers, with their share; at the upper
-    edge those without any answer. Methods named in `outside` have hollow marks; the
+    Crosses mark settings at which a method fails, at the upper edge those without any answer; the
     dashed line is the bias, in JNDs, that models are `allowed`.
     """
-    figure = new_figure(DOUBLE, 10.0)
-    rows: Any = figure.subfigures(3, 1, height_ratios=(1.0, 1.1, 0.85))
-    parts = dict(iter(table.groupby("part")))
-    styles = _styles(table, set(outside))
+    figure = new_figure(DOUBLE, 3.9)
     k = weber_fraction
-    axes = _row(rows[0], parts["beams"], styles, "relative error of the moment", "rounding")
+    axes = _row(figure, table, styles, "relative error of the moment", "rounding")
     in_jnds = (lambda error: error / k, lambda jnds: jnds * k)
     for ax in axes:
         ax.axhline(allowed * k, color="0.6", linewidth=0.7, linestyle="--")
@@ -57,32 +55,41 @@ def speed_accuracy(
         if ax is not axes[-1]:
             right.set_yticklabels([])
     right.set_ylabel(f"error of r (JND, k = {k:g})")
-    rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
-    error = "r.m.s. relative error of the"
-    axes = _row(rows[1], parts["posteriors"], styles, f"{error} sd", "referee")
-    axes[0].set_ylim(1e-17, TOP)
-    rows[1].supxlabel(f"CPU time of one posterior (s), k = {k:g}", fontsize=8)
-    truth = "Monte Carlo error of the truth"
-    axes = _row(rows[2], parts["jnds"], styles, f"{error} JND", truth, below=True)
-    for ax, (_, part) in zip(axes, parts["jnds"].groupby("scene", sort=False), strict=True):
-        swept = part[part["knob"] > 0]
-        for i, (_, row) in enumerate(swept.iterrows()):  # in turn above and below
-            _beside(ax, f"{row['knob']:.0f}", row, (4, -8 if i % 2 else 2))
-    words = "CPU time of a JND at one distance (s); small numbers: readings"
-    rows[2].supxlabel(f"{words}\n{fill(foot, FOOT)}", fontsize=SMALL)
-    return figure
+    return _footed(figure, "CPU time of one contact (s)")
 
 
 @styled
-def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[str] = ()) -> Figure:
-    """RMSE and coverage of fits against time, above; time and memory against size, below."""
-    figure = new_figure(DOUBLE, 6.6)
-    rows: Any = figure.subfigures(2, 1)
-    fits, growth = (table[table["part"] == part] for part in ("fits", "growth"))
-    left, right = rows[0].subplots(1, 2)
-    styles = _styles(table, set(outside))
-    for i, (method, part) in enumerate(fits.groupby("method", sort=False)):
-        style = styles[method] | {"label": method}
+def posteriors(table: pd.DataFrame, styles: Styles, *, weber_fraction: float = 0.1) -> Figure:
+    """Posteriors of one reading, a panel for each scene; every method a line over its knob.
+
+    Crosses mark settings at which a method flags answers, with their share.
+    """
+    figure = new_figure(DOUBLE, 3.9)
+    axes = _row(figure, table, styles, "r.m.s. relative error of the sd", "referee")
+    axes[0].set_ylim(1e-17, TOP)
+    return _footed(figure, f"CPU time of one posterior (s), k = {weber_fraction:g}")
+
+
+@styled
+def jnds(table: pd.DataFrame, styles: Styles) -> Figure:
+    """Curves of JNDs, a panel for each scene; every method a line over its readings."""
+    figure = new_figure(DOUBLE, 3.4)
+    truth = "Monte Carlo error of the truth"
+    axes = _row(figure, table, styles, "r.m.s. relative error of the JND", truth, below=True)
+    for ax, (_, part) in zip(axes, table.groupby("scene", sort=False), strict=True):
+        swept = part[part["knob"] > 0]
+        for i, (_, row) in enumerate(swept.iterrows()):  # in turn above and below
+            _beside(ax, f"{row['knob']:.0f}", row, (4, -8 if i % 2 else 2))
+    return _footed(figure, "CPU time of a JND at one distance (s); small numbers: readings")
+
+
+@styled
+def fits(table: pd.DataFrame, styles: Styles) -> Figure:
+    """RMSE and coverage of fits against time."""
+    figure = new_figure(DOUBLE, 3.2)
+    left, right = figure.subplots(1, 2)
+    for i, (method, part) in enumerate(table.groupby("method", sort=False)):
+        style = styles[str(method)] | {"label": method}
         left.errorbar(part["seconds"], part["error"], part["error_se"], elinewidth=0.7, **style)
         miss = 100 * (part["coverage"] - 0.95)
         spread = 100 * np.sqrt(0.95 * 0.05 / part["count"])
@@ -97,55 +104,102 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     right.set(xscale="log", ylabel="coverage − 95 (points)")
     right.set_title("95 % intervals; bars: one standard error")
     for ax in (left, right):
-        ax.set_xlabel("CPU time of a fit (s)")
         log_numbers(ax.xaxis)
     log_numbers(left.yaxis)
-    _legend(rows[0], [left])
-    axes = rows[1].subplots(1, 2)
+    _legend(figure, [left])
+    return _footed(figure, "CPU time of a fit (s)")
+
+
+@styled
+def growth(table: pd.DataFrame, styles: Styles) -> Figure:
+    """Time and memory of one call against its size."""
+    figure = new_figure(DOUBLE, 3.9)
+    axes = figure.subplots(1, 2)
     for ax, column, unit in zip(
         axes, ("seconds", "bytes"), ("CPU time (s)", "peak memory (bytes)"), strict=True
     ):
-        for i, (method, part) in enumerate(growth.groupby("method", sort=False)):
+        for method, part in table.groupby("method", sort=False):
             by_time, by_size = (part[f"slope_{c}"].iloc[0] for c in ("seconds", "bytes"))
             grows = (("time", by_time), ("memory", by_size))
             label = ", ".join(
                 [f"{what} ∝ n^{power:.2f}" for what, power in grows if power == power]
             )
-            label = f"{method}: {label}" if label else method
-            ax.loglog(part["count"], part[column], **_style(i, False), label=label)
-        ax.set(xlabel="n in one call", ylabel=unit)
-    _legend(rows[1], [axes[0]])
-    if foot:
-        rows[1].supxlabel(fill(foot, FOOT), fontsize=SMALL)
+            label = f"{method}: {label}" if label else str(method)
+            ax.loglog(part["count"], part[column], **styles[str(method)], label=label)
+        ax.set(ylabel=unit)
+    _legend(figure, [axes[0]])
+    return _footed(figure, "n in one call")
+
+
+FIGURES: dict[str, Callable[..., Figure]] = {
+    "beams": beams, "posteriors": posteriors, "jnds": jnds, "fits": fits, "growth": growth,
+}  # fmt: skip
+
+
+def figures(
+    tables: Mapping[str, pd.DataFrame], *, foot: str = "", outside: Iterable[str] = ()
+) -> dict[str, Figure]:
+    """A figure of each table; methods named in `outside` have hollow marks."""
+    styles, hollow = styles_of(tables, set(outside)), set(outside)
+    made = {}
+    for name, draw in FIGURES.items():
+        made[name] = draw(tables[name], styles[name])
+        words = made[name].get_supxlabel()
+        marks = "hollow marks: tools of others" if hollow & set(styles[name]) else ""
+        small = "\n".join(filter(None, [words, marks, fill(foot, FOOT)]))
+        made[name].supxlabel(small, fontsize=SMALL)
+    return made
+
+
+def method_of(name: str) -> str:
+    """What a line of the figures is of, whatever its settings: these have a line style each."""
+    name = name.removeprefix("posteriors, ")
+    # Of SciPy there are several methods; the last way of fitting is another model.
+    whole = name.startswith("SciPy") or name.endswith("equal-variance")
+    return name if whole else name.split(",")[0]
+
+
+def styles_of(tables: Mapping[str, pd.DataFrame], hollow: set[str]) -> dict[str, Styles]:
+    """Styles of each figure: one colour one method, which keeps it in the next where it can."""
+    colour_of: dict[str, str] = {}
+    out = {}
+    for part, table in tables.items():
+        known = table if "failed" not in table else table[table["failed"].notna()]
+        names = list(dict.fromkeys(known["method"].astype(str)))
+        methods = {name: name if part == "growth" else method_of(name) for name in names}
+        here: dict[str, str] = {}
+        for method in dict.fromkeys(methods.values()):
+            free = [c for c in ALL_COLOURS if c not in here.values()]
+            kept = colour_of.get(method)
+            here[method] = kept if kept in free else _unkept(free, methods.values(), colour_of)
+        colour_of |= here
+        ways: dict[str, int] = {}
+        out[part] = {}
+        for i, (name, method) in enumerate(methods.items()):
+            ways[method] = ways.get(method, -1) + 1
+            style: dict[str, Any] = {
+                "color": here[method], "marker": MARKERS[i % len(MARKERS)],
+                "linestyle": LINES[ways[method] % len(LINES)], "linewidth": 1.0, "markersize": 3.5,
+            }  # fmt: skip
+            out[part][name] = style | ({"markerfacecolor": "white"} if name in hollow else {})
+    return out
+
+
+def _unkept(free: list[str], methods: Iterable[str], colour_of: Mapping[str, str]) -> str:
+    """The first colour that no other method of this figure has from one before."""
+    taken = {colour_of.get(method) for method in methods}
+    return next((c for c in free if c not in taken), free[0])
+
+
+def _footed(figure: Figure, words: str) -> Figure:
+    figure.supxlabel(words, fontsize=SMALL)
     return figure
-
-
-def _style(i: int, hollow: bool) -> dict[str, Any]:
-    style: dict[str, Any] = {
-        "color": COLOURS[i % len(COLOURS)],
-        "marker": MARKERS[i % len(MARKERS)],
-        "linestyle": LINES[i // len(COLOURS) % len(LINES)],
-        "linewidth": 1.0,
-        "markersize": 3.5,
-    }
-    return style | ({"markerfacecolor": "white"} if hollow else {})
-
-
-def _styles(table: pd.DataFrame, hollow: set[str]) -> dict[str, dict[str, Any]]:
-    """One style a method in all panels: the same colour, mark and line wherever it is drawn."""
-    known = table[table["failed"].notna()]["method"]
-    names = dict.fromkeys(name.removeprefix("posteriors, ") for name in known)
-    number = {name: i for i, name in enumerate(names)}
-    return {
-        name: _style(number[name.removeprefix("posteriors, ")], name in hollow)
-        for name in dict.fromkeys(known)
-    }
 
 
 def _row(
     figure: Any,
     table: pd.DataFrame,
-    styles: dict[str, dict[str, Any]],
+    styles: Styles,
     ylabel: str,
     floor: str,
     below: bool = False,

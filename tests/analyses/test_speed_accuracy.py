@@ -133,12 +133,16 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
 
 @pytest.mark.slow
 def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
-    names = "beams", "posteriors", "jnds", "fits", "growth"
     kept = Path(__file__).parents[2] / "analyses" / "figures"
-    parts = [pd.read_csv(kept / f"speed_accuracy_{part}.csv") for part in names]
-    table = pd.concat(parts, ignore_index=True)
-    assert faults(plots.speed_accuracy(table)) == []
-    assert faults(plots.fits_and_growth(table)) == []
+    tables = {name: pd.read_csv(kept / f"speed_accuracy_{name}.csv") for name in plots.FIGURES}
+    styles = plots.styles_of(tables, set())
+    for name, figure in plots.figures(tables, foot="a machine").items():
+        assert faults(figure) == [], name
+        methods: dict[str, set[str]] = {}
+        for line, style in styles[name].items():
+            method = line if name == "growth" else plots.method_of(line)
+            methods.setdefault(style["color"], set()).add(method)
+        assert all(len(of_colour) == 1 for of_colour in methods.values()), name
 
 
 def test_the_chain_of_links_converges_as_their_length_squared() -> None:
