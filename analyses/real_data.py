@@ -228,7 +228,7 @@ def people(trials: Trials, lines: list[str]) -> list[WeberFit]:
 
 def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path) -> None:
     """The figure: the rat's course, its residuals by session, and the people's curves."""
-    figure = plots.new_figure(plots.DOUBLE, 4.6)
+    figure = plots.new_figure(plots.DOUBLE, 5.2)
     ((course, off), (one, two)) = figure.subplots(2, 2)
     middle, low, high = (blocks[c].to_numpy(float) for c in ("weber_fraction", "lower", "upper"))
     course.errorbar(
@@ -243,6 +243,7 @@ def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path
     off.text(0.04, 0.9, "the rat", transform=off.transAxes)
     for ax, fit in zip((one, two), fits, strict=True):
         plots.psychometrics(fit, ax, unit="log ratio")
+        ax.set_ylabel("P(second reported greater)")
         ax.text(0.04, 0.9, f"person {fit.trials.subjects[0]}", transform=ax.transAxes)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

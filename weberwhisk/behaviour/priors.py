@@ -73,7 +73,7 @@ class Priors(Fields):
       does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,
       so this prior moves k, and no prior suits all animals. This one was chosen by the expected
       squared error of ln k over a stated population of animals and designs, 0.28 over 2400 animals
-      and 0.23 over 2400 held out, where Beta(0.3, 3) has 0.32 and 0.31 (`analyses/lapse_prior.md`);
+      and 0.23 over 2400 held out, where Beta(0.3, 3) has 0.31 and 0.30 (`analyses/lapse_prior.md`);
       95 % intervals hold k in 93 and 96 %. Where one answer in ten is lost, k comes out a fifth too
       high. State what you know of the animal. `WeberFit.prior_sensitivity` shows how far a fit
       depends on this belief, and on every other.
