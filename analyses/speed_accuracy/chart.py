@@ -471,12 +471,6 @@ def growing(full: bool) -> list[str]:
     return [what for what, job in JOBS.items() if full or job.short]
 
 
-def measure_growth(*, full: bool = False) -> pd.DataFrame:
-    """`measure_growing` of all that are measured."""
-    tables = [measure_growing(what, full=full) for what in growing(full)]
-    return pd.concat(tables, ignore_index=True)
-
-
 def measure_growing(what: str, *, full: bool = False) -> pd.DataFrame:
     """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
     job = JOBS[what]

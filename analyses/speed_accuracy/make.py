@@ -309,7 +309,7 @@ def make(folder: Path, *, full: bool = True, sets: int = 200) -> dict[str, pd.Da
     foot = machine(*PACKAGES)
     absent = missing()
     foot += f"; not installed: {', '.join(absent)}" if absent else ""
-    kept = folder / f"parts-{'full' if full else 'short'}-{sets}-without-{len(absent)}"
+    kept = folder / "-".join(["parts", "full" if full else "short", str(sets), *absent])
     tables = measure(kept, full=full, sets=sets)
     with Run(folder, "speed_accuracy", {"full": full, "sets": sets, "machine": foot}) as run:
         draw(run, tables, foot)

@@ -450,9 +450,11 @@ def priors_for(
     return made if task is None else of_task(made, task)
 
 
-def usual_bias(task: Task) -> float:
-    """The middle of what is believed of the bias, or the criterion, in a task."""
-    return float(of_task(DEFAULTS, task).value("bias", 0.0)) if task.bias_name else 0.0
+def usual_bias(task: Task, priors: Priors | None = None) -> float:
+    """The prior's median of a criterion; a bias is 0."""
+    if task.bias_name != "criterion":
+        return 0.0
+    return float(of_task(priors or DEFAULTS, task).value("bias", 0.0))
 
 
 def of_task(priors: Priors, task: Task) -> Priors:

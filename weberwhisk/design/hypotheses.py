@@ -25,7 +25,7 @@ from ..behaviour.encodings import (
 )
 from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.likelihood import BIASES, WeberModel, observer_model
-from ..behaviour.priors import DEFAULTS, Priors, of_task
+from ..behaviour.priors import DEFAULTS, Priors, of_task, usual_bias
 from ..behaviour.simulate import draw_animals
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
@@ -102,10 +102,8 @@ class Hypothesis(Fields):
 
     @property
     def usual_bias(self) -> float:
-        """The prior's median of a criterion; a bias is 0."""
-        if self.asked.bias_name != "criterion" or self.bias == "none":
-            return 0.0
-        return float(self.priors.value("bias", 0.0))
+        """That of its priors; 0 where it has none."""
+        return 0.0 if self.bias == "none" else usual_bias(self.asked, self.priors)
 
     def model(self, scheme: Scheme | Cells) -> WeberModel:
         """The likelihood that the trials of a scheme will have, no answers filled in yet.
