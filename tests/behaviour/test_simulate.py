@@ -65,6 +65,8 @@ def test_same_and_different_are_both_said_by_default() -> None:
     assert fit_weber(one).interval(0.99)[0] < 0.1 < fit_weber(one).interval(0.99)[1]
     several, truth = simulate_population(4, task="same-different", trials_per_level=5, seed=5)
     assert truth["bias"].between(0.8, 2.4).all()
+    _, low = simulate_population(6, task="same-different", bias=0.1, trials_per_level=2, seed=1)
+    assert low["bias"].min() == 0  # one was drawn below it, and refused as if the user gave it
     assert 0.1 < several.frame["count"].mean() < 0.9
     with pytest.raises(ValueError, match=r"criterion of a same-different task.*write for ex"):
         simulate_trials(task="same-different", bias=-1.0, seed=1)

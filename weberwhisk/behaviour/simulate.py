@@ -413,6 +413,8 @@ def simulate_population(
         lapse_high=lapse_high, bias=usual_bias(task) if bias is None else bias,
         bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
+    if isinstance(task, SameDifferent) and (bias is None or bias >= 0):
+        truth["bias"] = truth["bias"].clip(lower=0.0)  # no criterion of one animal is below it
     sessions = checks.whole("sessions", sessions, "write 10, say")
     checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
     wander = ndtri(np.clip(rng.random((len(truth), sessions)), 1e-12, 1 - 1e-12))
