@@ -33,6 +33,10 @@ LogDensity = Callable[[Array], Array]
 #: quarters were by 0.07.
 QUARTERS = 80.0, np.array([0.25, 0.5, 0.75])
 TAILS = 100.0, np.array([0.05, 0.25, 0.5, 0.75, 0.95])
+#: Draws of a pass from the prior, by the square of the dimensions: a fifth of them is a covariance
+#: with half as many entries. Of a hidden Markov model of 14 dimensions, passes of 500 found the
+#: highest mode for 3 of 6 seeds, 1000 for 5 and 2000, as here, for 6.
+BY_DIMENSION = 10
 
 
 class Component(NamedTuple):
@@ -45,11 +49,12 @@ class Component(NamedTuple):
 @dataclass(frozen=True)
 class WeightedDraws:
     """Draws (N, D) and ln of their weights (N,), density over that of the proposal, which has its
-    ln in `log_proposal` (N,)."""
+    ln in `log_proposal` (N,); and the mixtures drawn from, each with the number of its draws."""
 
     values: Array
     log_weight: Array
     log_proposal: Array
+    mixtures: tuple[tuple[int, tuple[Component, ...]], ...] = ()
 
     @cached_property
     def weights(self) -> Array:
@@ -70,6 +75,26 @@ class WeightedDraws:
     def tempered(self, power: float) -> WeightedDraws:
         """The same with weights to a power."""
         return replace(self, log_weight=power * self.log_weight)
+
+    def joined(self, later: WeightedDraws) -> WeightedDraws:
+        """These and later ones, each as drawn of all mixtures (Veach & Guibas 1995)."""
+        log_count = [
+            np.logaddexp(one._log_count(one.log_proposal), other._log_count_at(one.values))
+            for one, other in ((self, later), (later, self))
+        ]
+        log_density = np.concatenate([one.log_weight + one.log_proposal for one in (self, later)])
+        values = np.concatenate([self.values, later.values])
+        log_proposal = np.concatenate(log_count) - np.log(len(values))
+        mixtures = self.mixtures + later.mixtures
+        return WeightedDraws(values, log_density - log_proposal, log_proposal, mixtures)
+
+    def _log_count(self, log_proposal: Array) -> Array:
+        """ln of how many of these draws there are at places, by volume."""
+        return np.asarray(np.log(len(self.values)) + log_proposal)
+
+    def _log_count_at(self, places: Array) -> Array:
+        each = [np.log(n) + mixture_log_density(mixture, places) for n, mixture in self.mixtures]
+        return np.asarray(np.logaddexp.reduce(each, axis=0))
 
     def resampled(self, size: int, rng: np.random.Generator) -> Array:
         """Draws of equal weight, (size, D), in random order."""
@@ -135,7 +160,8 @@ def weighted_draws(
         drawn.append(one.centre + wider * ndtri(u[:, :-1]) @ np.linalg.cholesky(one.scale).T)
     values = np.concatenate(drawn)
     log_proposal = mixture_log_density(mixture, values, df)
-    return WeightedDraws(values, log_density(values) - log_proposal, log_proposal)
+    log_weight = log_density(values) - log_proposal
+    return WeightedDraws(values, log_weight, log_proposal, ((len(values), tuple(mixture)),))
 
 
 def mixture_log_density(mixture: Sequence[Component], values: Array, df: float = 6.0) -> Array:
@@ -168,7 +194,10 @@ def adapted_draws(
 
     Adaptive importance sampling (Cappé et al. 2004; Bugallo et al. 2017): Student's t are fitted to
     weighted draws again and again, the density first taken to a power below 1, so that no mode is
-    lost between the prior and where it was fitted last. One t stands for each quarter of the first
+    lost between the prior and where it was fitted last. They are fitted to the draws of all passes,
+    weighted as of all their mixtures (Cornuet et al. 2012), so that none is lost. What is returned
+    was drawn once the power was 1, as draws that the mixtures were fitted to have an evidence that
+    is too low, by 0.2 nats of 300 in 12 dimensions. One t stands for each quarter of the first
     coordinate.
 
     Parameters
@@ -180,7 +209,8 @@ def adapted_draws(
     points : SobolPoints
         Of D + 1 dimensions.
     effective, most, size
-        `size` is that of a pass while the proposal is fitted.
+        `size` is that of a pass while the proposal is fitted, from the prior more where there are
+        many dimensions; `most` is that of any.
     mixture : sequence of Component
         Where to begin instead, such as those fitted to draws from a density much the same.
     tails : bool
@@ -190,22 +220,24 @@ def adapted_draws(
         draws = weighted_draws(log_density, mixture, 2 * size, points)
         if draws.effective >= effective:
             return draws
-        mixture = tempered_components(draws, size / 4, tails)
     else:
-        mixture = [Component(mean, np.diag(sd**2))]
+        size = max(size, BY_DIMENSION * mean.size**2)
+        draws = weighted_draws(log_density, [Component(mean, np.diag(sd**2))], size, points)
     for _ in range(30):
-        draws = weighted_draws(log_density, mixture, size, points)
         power = _power(draws, size / 4)
         mixture = fitted_components(draws.tempered(power), tails)
         if power == 1.0:
             break
-    count = 2 * size
-    for _ in range(8):  # now the density itself
-        draws = weighted_draws(log_density, mixture, count, points)
+        draws = draws.joined(weighted_draws(log_density, mixture, size, points))
+    draws = last = weighted_draws(log_density, mixture, 2 * size, points)  # the density itself
+    for _ in range(8):
         if draws.effective >= effective:
             break
-        count = int(np.clip(1.3 * count * effective / draws.effective, count, most))
-        mixture = fitted_components(draws, tails)
+        lacking = 1.1 * (effective - draws.effective) * len(last.values) / last.effective
+        count = int(np.clip(lacking, size, min(most, 2 * len(draws.values))))
+        mixture = tempered_components(draws, size / 4, tails)
+        last = weighted_draws(log_density, mixture, count, points)
+        draws = draws.joined(last)
     return draws
 
 

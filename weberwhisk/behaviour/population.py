@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from .._util.importance import (
     Component,
@@ -25,7 +24,6 @@ from .._util.importance import (
     WeightedDraws,
     adapted_draws,
     fitted_components,
-    mixture_log_density,
     tempered_components,
     weighted_draws,
 )
@@ -158,15 +156,18 @@ class AnimalDraws:
         return cls(animal.at, x, weight + proposal, proposal, site, ((len(x), tuple(mixture)),))
 
     def joined(self, later: AnimalDraws) -> AnimalDraws:
-        """These draws and later ones, all as of their mixtures together (Veach & Guibas 1995)."""
-        mixtures = self.mixtures + later.mixtures
-        x = np.concatenate([self.coordinates, later.coordinates])
-        log = [np.log(n) + mixture_log_density(mixture, x) for n, mixture in mixtures]
-        log_proposal = logsumexp(log, axis=0) - np.log(len(x))
-        log_like = np.concatenate([self.log_like, later.log_like])
+        """These draws and later ones."""
+        both = self._weighted.joined(later._weighted)
         return replace(
-            later, coordinates=x, log_like=log_like, log_proposal=log_proposal, mixtures=mixtures
-        )
+            later, coordinates=both.values, log_like=both.log_weight + both.log_proposal,
+            log_proposal=both.log_proposal, mixtures=both.mixtures,
+        )  # fmt: skip
+
+    @property
+    def _weighted(self) -> WeightedDraws:
+        """Weighted by the likelihood."""
+        log_weight = self.log_like - self.log_proposal
+        return WeightedDraws(self.coordinates, log_weight, self.log_proposal, self.mixtures)
 
     def posterior(self, mean: Array, sd: Array) -> WeightedDraws:
         """The animal in one population (E,)."""
