@@ -435,5 +435,7 @@ def mcse(draws: Array) -> Array:
 def _each(name: str, draws: Array, **options: str) -> Array:
     function = getattr(_arviz(), name)
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN where no draw differs from another
-        flat = [float(function(x, **options)) for x in draws.reshape(-1, *draws.shape[-2:])]
+        # ArviZ 0.23 gives some of them as arrays of one number where Numba is installed.
+        flat = [np.asarray(function(x, **options)).item()
+                for x in draws.reshape(-1, *draws.shape[-2:])]  # fmt: skip
     return np.reshape(np.array(flat), draws.shape[:-2])
