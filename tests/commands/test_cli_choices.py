@@ -48,6 +48,21 @@ def test_choices_by_another_cue(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert found["lower"] < 0.1 < found["upper"]
 
 
+def test_a_fit_that_takes_long_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rat's 11 489 trials took two minutes without a word."""
+    table = tmp_path / "few.csv"
+    table.write_text("stimulus_1,stimulus_2,n,n_greater\n1,1.2,20,18\n1,0.8,20,3\n")
+    for most, said in ((39, True), (40, False)):
+        monkeypatch.setattr("weberwhisk.commands.choices.LONG", most)
+        assert run_app(cli.app, ["fit", str(table)]) == 0
+        assert ("40 trials: the checks" in capsys.readouterr().err) == said
+    monkeypatch.setattr("weberwhisk.commands.choices.LONG", 0)
+    assert run_app(cli.app, ["fit", str(table), "--json"]) == 0
+    assert not capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "scene",
     slow_but(

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 __all__ = ["distance_encoding", "fit", "next_trials", "simulate"]
 
+#: Trials from which it is said that a fit takes long: its checks and causes, of 11 500 two minutes.
+LONG = 4000
+
 
 def distance_encoding(
     shape: opt.Shape, cue: str | None, angles_deg: opt.Texts
@@ -293,6 +296,12 @@ def fit(
             "--workers and --scheduler fit many subjects at once",
             remedy="add --together, or leave them out",
         )
+    if trials.n_trials > LONG and not as_json:
+        print(
+            f"{trials.n_trials} trials: the checks, and what is behind a misfit if they find one, "
+            "may take some minutes.",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
     with Run(out, "fit", inputs, seed) as run:
         result = ww.fit_weber(
             trials, encoding=encoding, bias=bias, noise=noise, effects=effects, states=states,
