@@ -195,9 +195,10 @@ def adapted_draws(
     Adaptive importance sampling (Cappé et al. 2004; Bugallo et al. 2017): Student's t are fitted to
     weighted draws again and again, the density first taken to a power below 1, so that no mode is
     lost between the prior and where it was fitted last. They are fitted to the draws of all passes,
-    weighted as of all their mixtures (Cornuet et al. 2012), so that none is lost. What is returned
-    was drawn once the power was 1, as draws that the mixtures were fitted to have an evidence that
-    is too low, by 0.2 nats of 300 in 12 dimensions. One t stands for each quarter of the first
+    weighted as of all their mixtures (Cornuet et al. 2012). What is returned was drawn once the
+    power was 1, as draws that the mixtures were fitted to have an evidence that is too low, by 0.2
+    nats of 300 in 12 dimensions; but a mode that later mixtures lost counts: both those returned
+    and all together are to be worth `effective`. One t stands for each quarter of the first
     coordinate.
 
     Parameters
@@ -229,16 +230,18 @@ def adapted_draws(
         if power == 1.0:
             break
         draws = draws.joined(weighted_draws(log_density, mixture, size, points))
-    draws = last = weighted_draws(log_density, mixture, 2 * size, points)  # the density itself
+    final = last = weighted_draws(log_density, mixture, 2 * size, points)  # the density itself
+    every = draws.joined(last)
     for _ in range(8):
-        if draws.effective >= effective:
+        worth = min(every.effective, final.effective)
+        if worth >= effective:
             break
-        lacking = 1.1 * (effective - draws.effective) * len(last.values) / last.effective
-        count = int(np.clip(lacking, size, min(most, 2 * len(draws.values))))
-        mixture = tempered_components(draws, size / 4, tails)
+        lacking = 1.1 * (effective - worth) * len(last.values) / last.effective
+        count = int(np.clip(lacking, size, min(most, 2 * len(final.values))))
+        mixture = tempered_components(every, size / 4, tails)
         last = weighted_draws(log_density, mixture, count, points)
-        draws = draws.joined(last)
-    return draws
+        every, final = every.joined(last), final.joined(last)
+    return final
 
 
 def tempered_components(draws: WeightedDraws, least: float, tails: bool = False) -> list[Component]:

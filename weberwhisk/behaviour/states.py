@@ -25,10 +25,11 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from .._util import checks
+from .._util.importance import WeightedDraws
 from .._util.refusals import Refusal, argument, named
 from .._util.values import Array, Codes, Fields, Index, pd
 from .encodings import Encoding
-from .importance import ImportancePosterior, Target
+from .importance import EFFECTIVE, PASS, ImportancePosterior, Target
 from .likelihood import Draws, WeberModel, gather
 from .order import is_numbered, session_block
 from .posteriors import split
@@ -339,6 +340,14 @@ class StateTarget(Target):
     def log_likelihood(self, draws: Draws) -> Array:
         assert isinstance(draws, StateDraws)
         return self.model.chain(draws)[0]
+
+    def weighted(self, effective: float = EFFECTIVE, size: int = PASS) -> WeightedDraws:
+        """As of any target; of a whole fit by passes of three times as many draws.
+
+        Answers of disengaged trials are of either side in turn: with passes of 2000 two of five
+        seeds lost the higher mode of five sessions of the rat, by 4 to 9 nats, with 6000 none.
+        """
+        return super().weighted(effective, 3 * size if effective >= EFFECTIVE else size)
 
 
 @dataclass(frozen=True, repr=False)
