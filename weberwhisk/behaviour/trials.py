@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -219,10 +219,10 @@ class Trials(Line):
         --------
         without : all trials but some.
         """
-        places = np.arange(len(self))
-        for column, value in chosen.items():
-            of_values = self._places(column, several_values(value))
-            places = np.intersect1d(places, of_values, assume_unique=True)
+        each = [self._places(column, several_values(value)) for column, value in chosen.items()]
+        # Of the few rows of one of a thousand subjects: all would be sorted for each of them.
+        shared = partial(np.intersect1d, assume_unique=True)
+        places = reduce(shared, each) if each else np.arange(len(self))
         if not places.size:
             words = ", ".join(f"{column} = {value!r}" for column, value in chosen.items())
             raise Refusal(
