@@ -79,7 +79,7 @@ class WeightedDraws:
     def joined(self, later: WeightedDraws) -> WeightedDraws:
         """These and later ones, each as drawn of all mixtures (Veach & Guibas 1995)."""
         log_count = [
-            np.logaddexp(one._log_count(one.log_proposal), other._log_count_at(one.values))
+            np.logaddexp(np.log(len(one.values)) + one.log_proposal, other._log_count(one.values))
             for one, other in ((self, later), (later, self))
         ]
         log_density = np.concatenate([one.log_weight + one.log_proposal for one in (self, later)])
@@ -88,11 +88,8 @@ class WeightedDraws:
         mixtures = self.mixtures + later.mixtures
         return WeightedDraws(values, log_density - log_proposal, log_proposal, mixtures)
 
-    def _log_count(self, log_proposal: Array) -> Array:
-        """ln of how many of these draws there are at places, by volume."""
-        return np.asarray(np.log(len(self.values)) + log_proposal)
-
-    def _log_count_at(self, places: Array) -> Array:
+    def _log_count(self, places: Array) -> Array:
+        """ln of how many of these draws are to be expected at places, by volume."""
         each = [np.log(n) + mixture_log_density(mixture, places) for n, mixture in self.mixtures]
         return np.asarray(np.logaddexp.reduce(each, axis=0))
 
